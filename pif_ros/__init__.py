@@ -1,0 +1,3 @@
+"""Dirac-Feynman path integral grid filter for ROS 2."""
+
+__version__ = '0.1.0'

@@ -1,0 +1,159 @@
+"""What the filter believes: a probability density on a grid, and what can be read off it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from pif_ros.core.grid import Grid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """A hump of a density: the mass in it, its mean (n,) and covariance (n, n)."""
+
+    mass: float
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class GridBelief:
+    """
+    A density on a grid, shape grid.shape, in 1 / (units of the state).
+
+    Its mass is 1, less what has left the grid since the last correction.  All statistics are those
+    of the density scaled to mass 1, and none assumes a single hump.  On a periodic axis the mean
+    is circular, and deviations are taken the short way round.
+    """
+
+    grid: Grid
+    density: Array
+
+    @classmethod
+    def uniform(cls, grid: Grid) -> GridBelief:
+        """Return the belief that knows nothing but the box."""
+        return cls(grid, np.full(grid.shape, 1.0 / (grid.size * grid.cell_volume)))
+
+    @classmethod
+    def gaussian(cls, grid: Grid, mean: ArrayLike, covariance: ArrayLike) -> GridBelief:
+        """
+        Return a Gaussian, mean (n,) and covariance (n, n), cut at the edges of the grid.
+
+        A standard deviation below half a cell is widened to it, since a grid cannot hold less.
+        Raises ValueError where the mean lies off the grid or the covariance is not positive
+        definite.
+        """
+        mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
+        if mean.shape != (grid.ndim,) or not np.all(np.isfinite(mean)):
+            raise ValueError(f'mean: expected {grid.ndim} finite numbers, got {mean.tolist()}')
+        if not np.all(grid.contains(mean)):
+            raise ValueError(f'mean: expected a point on the grid, got {mean.tolist()}')
+        check_covariance('covariance', covariance, grid.ndim)
+        narrow = np.maximum((grid.spacing / 2) ** 2 - np.diag(covariance), 0.0)
+        precision = np.linalg.inv(covariance + np.diag(narrow))
+        d = grid.wrap(grid.points - mean[:, None])
+        exponent = -0.5 * np.einsum('ik,ij,jk->k', d, precision, d)
+        return cls(grid, np.exp(exponent - exponent.max()).reshape(grid.shape)).normalised()
+
+    @cached_property
+    def mass(self) -> float:
+        """Return the probability on the grid."""
+        return float(self.density.sum() * self.grid.cell_volume)
+
+    def normalised(self) -> GridBelief:
+        """Return the same belief with mass 1."""
+        return GridBelief(self.grid, self.density / self.mass)
+
+    @cached_property
+    def _weights(self) -> Array:
+        return self.density.ravel() / self.density.sum()
+
+    def mean(self) -> Array:
+        """Return the mean, shape (n,); circular on periodic axes."""
+        grid, w = self.grid, self._weights
+        mean = grid.points @ w
+        for i, periodic in enumerate(grid.periodic):
+            if periodic:
+                low, period = grid.lower[i], grid.upper[i] - grid.lower[i]
+                angle = np.angle(np.exp(2j * np.pi * (grid.points[i] - low) / period) @ w)
+                mean[i] = low + (angle / (2 * np.pi) % 1.0) * period
+        return mean
+
+    def mode(self) -> Array:
+        """Return the centre of the densest cell, shape (n,)."""
+        return self.grid.points[:, np.argmax(self.density)]
+
+    def covariance(self, about: ArrayLike | None = None) -> Array:
+        """Return the second moments about a point (the mean where none is given), (n, n)."""
+        point = self.mean() if about is None else np.asarray(about, dtype=float)
+        d = self.grid.wrap(self.grid.points - point[:, None])
+        return (d * self._weights) @ d.T
+
+    def marginal(self, axes: Sequence[int]) -> GridBelief:
+        """Return the density of some of the axes, in the order given."""
+        others = tuple(i for i in range(self.grid.ndim) if i not in axes)
+        width = float(np.prod(self.grid.spacing[list(others)]))
+        density = self.density.sum(axis=others) * width
+        kept = sorted(axes)
+        return GridBelief(self.grid.select(axes),
+                          np.transpose(density, [kept.index(i) for i in axes]))
+
+    def entropy(self) -> float:
+        """Return the differential entropy in nats."""
+        w = self._weights[self._weights > 0]
+        return float(np.log(self.grid.cell_volume) - w @ np.log(w))
+
+    def highest_density_region(self, share: float) -> NDArray[np.bool_]:
+        """Return the smallest set of cells that holds this share of the mass, grid.shape."""
+        w = self._weights
+        order = np.argsort(-w, kind='stable')
+        count = int(np.searchsorted(np.cumsum(w[order]), share)) + 1
+        inside = np.zeros(w.size, dtype=bool)
+        inside[order[:count]] = True
+        return inside.reshape(self.grid.shape)
+
+    def modes(self, share: float = 0.95) -> list[Mode]:
+        """Return the connected parts of a region of highest density, heaviest first."""
+        region = self.highest_density_region(share)
+        labels, count = _connected(region, self.grid.periodic)
+        modes = []
+        for label in range(1, count + 1):
+            part = GridBelief(self.grid, np.where(labels == label, self.density, 0.0))
+            mass = float(self._weights[(labels == label).ravel()].sum())
+            modes.append(Mode(mass, part.mean(), part.covariance()))
+        return sorted(modes, key=lambda mode: -mode.mass)
+
+
+def check_covariance(name: str, covariance: Array, size: int) -> None:
+    """Raise ValueError unless a matrix is a finite, symmetric, positive definite (size, size)."""
+    if covariance.shape != (size, size):
+        raise ValueError(f'{name}: expected {size} x {size} numbers, '
+                         f'got {" x ".join(map(str, covariance.shape))}')
+    if not np.all(np.isfinite(covariance)):
+        raise ValueError(f'{name}: expected finite numbers, got {covariance.tolist()}')
+    if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=0.0):
+        raise ValueError(f'{name}: expected a symmetric matrix, got {covariance.tolist()}')
+    if np.linalg.eigvalsh(covariance)[0] <= 0:
+        raise ValueError(f'{name}: expected a positive definite matrix, got {covariance.tolist()}')
+
+
+def _connected(region: NDArray[np.bool_],
+               periodic: Sequence[bool]) -> tuple[NDArray[np.int_], int]:
+    """Label the connected parts of a region, across periodic edges too: labels 1 to count."""
+    labels, count = ndimage.label(region, np.ones((3,) * region.ndim))
+    root = np.arange(count + 1)
+    for axis in np.flatnonzero(periodic):
+        first, last = labels.take(0, axis), labels.take(-1, axis)
+        touching = (first > 0) & (last > 0)
+        for a, b in zip(first[touching], last[touching]):
+            root[root == root[a]] = root[b]
+    kept, number = np.unique(root[1:], return_inverse=True)
+    return np.concatenate([[0], number + 1])[labels], len(kept)

@@ -1,0 +1,140 @@
+"""Predict and correct: the Dirac-Feynman filter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from pif_ros.core.belief import GridBelief
+from pif_ros.core.grid import Grid
+from pif_ros.core.kernels import KernelSettings, dirac_feynman
+from pif_ros.core.likelihood import GridLikelihood
+from pif_ros.core.models import Sensor, StateModel
+
+Array = NDArray[np.float64]
+Belief = TypeVar('Belief')
+
+NANOSECONDS = 1_000_000_000
+#: No cell of a posterior is emptier than this: a subnormal number costs as much as a hundred others.
+FLOOR = 1e-250
+#: An evidence below this share of the largest likelihood may have lost digits to underflow.
+UNSAFE = 1e-200
+
+
+class Filter(Protocol[Belief]):
+    """Two verbs on a belief; what every filter of this package can do."""
+
+    time_step_ns: int
+
+    def predict(self, belief: Belief, from_ns: int, to_ns: int) -> Belief:
+        """Return the belief carried from one stamp to a later one, in steps from the first."""
+
+    def correct(self, belief: Belief, y: ArrayLike, sensor: str,
+                at_ns: int) -> tuple[Belief, float]:
+        """Return the belief given a measurement, and the log evidence of that measurement."""
+
+
+@dataclass(frozen=True, eq=False)
+class DiracFeynmanFilter:
+    """
+    The filter that keeps the whole density on a grid  [Sensors, section 4.2].
+
+    sensors: by name; average_cells: whether a likelihood narrower than a cell is averaged over it
+    instead of taken at its centre.
+    """
+
+    model: StateModel
+    grid: Grid
+    sensors: Mapping[str, Sensor]
+    kernel: KernelSettings
+    average_cells: bool = True
+    time_step_ns: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Hold the step in whole nanoseconds, as all of time is."""
+        step = max(round(self.kernel.time_step * NANOSECONDS), 1)
+        object.__setattr__(self, 'time_step_ns', step)
+
+    def predict(self, belief: GridBelief, from_ns: int, to_ns: int) -> GridBelief:
+        """
+        Return the density carried from one stamp to a later one.
+
+        Whole steps are counted from from_ns; a remainder, a fraction a of a step, is the mixture
+        (1 - a) I + a K: positive, keeps mass, exact in the mean of a constant drift, and first
+        order in a otherwise.  Raises ValueError where to_ns lies before from_ns.
+        """
+        if to_ns < from_ns:
+            raise ValueError(f'to_ns: expected a stamp from {from_ns} on, got {to_ns}')
+        steps, rest = divmod(to_ns - from_ns, self.time_step_ns)
+        if not (steps or rest):
+            return belief
+        p, t = belief.density.ravel(), from_ns
+        for _ in range(steps):
+            # p(x'') = sum_x' K(x'', x') p(x')  [Sensors, Eq. 26]
+            p, t = self.kernel_at(t) @ p, t + self.time_step_ns
+        if rest:
+            a = rest / self.time_step_ns
+            moved = self.kernel_at(t) @ p
+            p = moved * a + p * (1 - a)
+        return GridBelief(self.grid, p.reshape(self.grid.shape))
+
+    def correct(self, belief: GridBelief, y: ArrayLike, sensor: str,
+                at_ns: int) -> tuple[GridBelief, float]:
+        """
+        Return the density given a measurement y of a sensor, and log p(y | all before it).
+
+        The evidence counts what has left the grid as lost.  Where no cell of the belief allows
+        the measurement at all, the belief stays as it is and the evidence is -inf.
+        """
+        p = belief.density.ravel()
+        log_l = self._likelihoods[sensor].log(np.asarray(y, dtype=float), p,
+                                              at_ns / NANOSECONDS)
+        peak = log_l.max()
+        posterior = _posterior(p, log_l, peak)
+        evidence = posterior.sum()
+        if not evidence > UNSAFE:
+            # an outlier, or cells without a likelihood: the largest factor among living cells
+            log_l = np.where((p > 0) & ~np.isnan(log_l), log_l, -np.inf)
+            peak = log_l.max()
+            if not np.isfinite(peak):
+                return belief, -np.inf
+            posterior = _posterior(p, log_l, peak)
+            evidence = posterior.sum()
+        posterior /= evidence * self.grid.cell_volume
+        posterior += FLOOR
+        return (GridBelief(self.grid, posterior.reshape(self.grid.shape)),
+                float(peak + np.log(evidence * self.grid.cell_volume)))
+
+    def kernel_at(self, t_ns: int) -> sparse.csr_array:
+        """Return the kernel of the step that starts at a stamp."""
+        return self._kernels(t_ns if self.model.changes_with_time else 0)
+
+    def remarks(self) -> list[str]:
+        """Return what a user should know of how the grid fits the sensors, a sentence each."""
+        return [remark for name, likelihood in self._likelihoods.items()
+                for remark in likelihood.remarks(name)]
+
+    @cached_property
+    def _kernels(self):  # type: ignore[no-untyped-def]
+        # a model that changes with time comes back to the same stamps when it replays
+        return lru_cache(maxsize=64)(lambda t_ns: dirac_feynman(
+            self.model, self.grid, self.kernel, t_ns / NANOSECONDS))
+
+    @cached_property
+    def _likelihoods(self) -> Mapping[str, GridLikelihood]:
+        return {name: GridLikelihood(self.grid, sensor, self.average_cells)
+                for name, sensor in self.sensors.items()}
+
+
+def _posterior(p: Array, log_l: Array, peak: float) -> Array:
+    """Return p(y | x) p(x) up to the factor exp(peak)  [Sensors, Eq. 27]."""
+    factor = np.subtract(log_l, peak)
+    np.exp(factor, out=factor)
+    factor *= p
+    return factor
