@@ -25,7 +25,7 @@ class StateModel:
     an (n, p) matrix or a function of t in seconds; noise_covariance: Q of dv per second, (p, p) or
     a function of t, the unit matrix where none is given; drift_jacobian: df_i/dx_j, (n, n, ...),
     taken by central differences where none is given; time_dependent: whether f depends on t (e
-    and Q do where they are functions).
+    and Q do where they are functions); units: one per state, for the reader.
     """
 
     names: tuple[str, ...]
@@ -34,6 +34,7 @@ class StateModel:
     noise_covariance: Matrix | None = None
     drift_jacobian: Field | None = None
     time_dependent: bool = False
+    units: tuple[str, ...] = ()
 
     @property
     def ndim(self) -> int:

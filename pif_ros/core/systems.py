@@ -75,14 +75,16 @@ def coupled_trigonometric(sigma_x: float = 1.0, sigma_y: float = 1.0) -> System:
         one = np.ones_like(x[0])
         return np.stack([np.stack([-np.sin(x[0]), -one]), np.stack([one, np.cos(x[1])])])
 
-    return System(StateModel(('x1', 'x2'), drift, sigma_x * np.eye(2), drift_jacobian=jacobian),
+    e = _positive('sigma_x', sigma_x) * np.eye(2)
+    return System(StateModel(('x1', 'x2'), drift, e, drift_jacobian=jacobian),
                   {'squares': _squares(sigma_y, 2)})
 
 
 def position_2d(diffusion: float = 1.0) -> System:
     """Random walk in the plane, diffusion in m / sqrt(s), seen by range, bearing or position."""
-    model = StateModel(('x', 'y'), lambda x, t: np.zeros_like(x), diffusion * np.eye(2),
-                       drift_jacobian=lambda x, t: np.zeros((2,) + x.shape))
+    e = _positive('diffusion', diffusion) * np.eye(2)
+    model = StateModel(('x', 'y'), lambda x, t: np.zeros_like(x), e,
+                       drift_jacobian=lambda x, t: np.zeros((2,) + x.shape), units=('m', 'm'))
     return System(model, {'position': position_sensor, 'range': range_sensor,
                           'bearing': bearing_sensor})
 
@@ -90,21 +92,21 @@ def position_2d(diffusion: float = 1.0) -> System:
 def range_sensor(landmark: Sequence[float], sigma: float, scale: float = 1.0,
                  bias: float = 0.0) -> Sensor:
     """Distance to a landmark (x, y) in metres: y = scale * distance + bias + sigma w."""
-    x0, y0 = landmark
+    x0, y0 = _point(landmark)
     return Sensor(lambda x, t: (scale * np.hypot(x[0] - x0, x[1] - y0) + bias)[None],
-                  np.array([[sigma**2]]))
+                  _positive('sigma', sigma)**2 * np.eye(1))
 
 
 def bearing_sensor(landmark: Sequence[float], sigma: float, bias: float = 0.0) -> Sensor:
     """Direction in which a landmark (x, y) is seen, in radians from the x axis of the map."""
-    x0, y0 = landmark
+    x0, y0 = _point(landmark)
     return Sensor(lambda x, t: (np.arctan2(y0 - x[1], x0 - x[0]) + bias)[None],
-                  np.array([[sigma**2]]), angular=(True,))
+                  _positive('sigma', sigma)**2 * np.eye(1), angular=(True,))
 
 
 def position_sensor(sigma: float) -> Sensor:
     """Both coordinates in metres, as a satellite receiver gives them."""
-    return Sensor(lambda x, t: x[:2], sigma**2 * np.eye(2))
+    return Sensor(lambda x, t: x[:2], _positive('sigma', sigma)**2 * np.eye(2))
 
 
 SYSTEMS: Mapping[str, Callable[..., System]] = {
@@ -115,14 +117,28 @@ SYSTEMS: Mapping[str, Callable[..., System]] = {
 
 def _scalar(f: Callable[[Array], Array], slope: Callable[[Array], Array], sigma: float,
             sensors: Mapping[str, Callable[..., Sensor]]) -> System:
-    model = StateModel(('x',), lambda x, t: f(x), np.array([[sigma]]),
+    model = StateModel(('x',), lambda x, t: f(x), _positive('sigma', sigma) * np.eye(1),
                        drift_jacobian=lambda x, t: slope(x)[None])
     return System(model, sensors)
 
 
 def _direct(sigma_y: float) -> Callable[[], Sensor]:
-    return lambda: Sensor(lambda x, t: x, np.array([[sigma_y**2]]))
+    R = _positive('sigma_y', sigma_y)**2 * np.eye(1)
+    return lambda: Sensor(lambda x, t: x, R)
 
 
 def _squares(sigma_y: float, size: int) -> Callable[[], Sensor]:
-    return lambda: Sensor(lambda x, t: x**2, sigma_y**2 * np.eye(size))
+    R = _positive('sigma_y', sigma_y)**2 * np.eye(size)
+    return lambda: Sensor(lambda x, t: x**2, R)
+
+
+def _positive(name: str, value: float) -> float:
+    if not 0 < value < np.inf:
+        raise ValueError(f'{name}: expected a positive number, got {value}')
+    return float(value)
+
+
+def _point(landmark: Sequence[float]) -> tuple[float, float]:
+    if np.shape(landmark) != (2,) or not np.all(np.isfinite(landmark)):
+        raise ValueError(f'landmark: expected 2 finite numbers, got {landmark}')
+    return float(landmark[0]), float(landmark[1])

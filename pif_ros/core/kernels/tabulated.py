@@ -48,9 +48,13 @@ def dirac_feynman(model: StateModel, grid: Grid, settings: KernelSettings,
 
 
 def stored_elements(model: StateModel, grid: Grid, settings: KernelSettings,
-                    t: float = 0.0) -> int:
-    """Return how many weights a kernel holds at most, without making it."""
-    return grid.size * _stencil(model, grid, settings, t).offsets.shape[1]
+                    t: float = 0.0) -> float:
+    """Return about how many weights a kernel holds, from the noise alone, without making it."""
+    variance = _variance_in_cells(model, grid, settings, t)
+    n, widths = grid.ndim, np.sqrt(np.diag(variance))
+    reach = math.sqrt(stats.chi2.isf(settings.tolerance, n))
+    ball = math.pi**(n / 2) / math.gamma(n / 2 + 1) * float(np.prod(reach * widths + 0.5))
+    return grid.size * max(ball, 3.0**n)
 
 
 class _Stencil:
@@ -70,8 +74,7 @@ class _Stencil:
 
 def _stencil(model: StateModel, grid: Grid, settings: KernelSettings, t: float) -> _Stencil:
     """Return the stencil that the settings ask for, or that suits the noise."""
-    variance = settings.time_step * model.diffusion(t + settings.r * settings.time_step)
-    variance /= np.outer(grid.spacing, grid.spacing)
+    variance = _variance_in_cells(model, grid, settings, t)
     if np.linalg.matrix_rank(variance, hermitian=True) < len(variance):
         if settings.weights == 'sampled':
             raise ValueError("weights: expected 'auto' or 'moments' where the noise does not "
@@ -278,6 +281,13 @@ def _unit_triangular(spread: Array) -> tuple[Array, Array]:
             rest = spread[i, j] - sum(L[i, k] * L[j, k] * D[k] for k in range(j))
             L[i, j] = np.divide(rest, D[j], out=np.zeros_like(rest), where=D[j] > 0)
     return L, D
+
+
+def _variance_in_cells(model: StateModel, grid: Grid, settings: KernelSettings,
+                       t: float) -> Array:
+    """Return eps g in cells, (n, n)."""
+    variance = settings.time_step * model.diffusion(t + settings.r * settings.time_step)
+    return variance / np.outer(grid.spacing, grid.spacing)
 
 
 def _whole_cells(move: Array) -> Integers:

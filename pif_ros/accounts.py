@@ -1,0 +1,55 @@
+"""What became of every measurement."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+import time
+
+
+@dataclass
+class SourceAccount:
+    """One source's measurements: received = accepted + rejected (by reason) + dropped + queued."""
+
+    received: int = 0
+    accepted: int = 0
+    dropped: int = 0
+    rejected: Counter[str] = field(default_factory=Counter)
+
+    def __str__(self) -> str:
+        """Return the account in a line."""
+        reasons = ', '.join(f'{count} {reason}' for reason, count in self.rejected.items())
+        return (f'{self.received} received, {self.accepted} accepted, '
+                f'{self.rejected.total()} rejected{f" ({reasons})" if reasons else ""}, '
+                f'{self.dropped} dropped')
+
+
+class Accounts:
+    """The accounts of all sources."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.sources = {name: SourceAccount() for name in names}
+
+    def __str__(self) -> str:
+        """Return all accounts in a line."""
+        return '; '.join(f'{name}: {account}' for name, account in self.sources.items())
+
+
+class Throttle:
+    """Which of many like lines are worth saying: the first, then one in so many seconds."""
+
+    def __init__(self, period: float = 5.0) -> None:
+        self._period = period
+        self._said: dict[str, float] = {}
+        self._kept: Counter[str] = Counter()
+
+    def line(self, kind: str, text: str) -> str | None:
+        """Return the line to say, with the number of those kept back, or None."""
+        now = time.monotonic()
+        if now - self._said.get(kind, -self._period) < self._period:
+            self._kept[kind] += 1
+            return None
+        self._said[kind] = now
+        kept = self._kept.pop(kind, 0)
+        return f'{text} ({kept} more like it)' if kept else text

@@ -1,0 +1,8 @@
+"""From what a user sets to the filter that runs; no ROS."""
+
+from pif_ros.config.build import build_filter, build_tracker, find_system, state_axes
+from pif_ros.config.kinds import ConfigError
+from pif_ros.config.table import Config, SourceConfig, specifications
+
+__all__ = ['Config', 'ConfigError', 'SourceConfig', 'build_filter', 'build_tracker',
+           'find_system', 'specifications', 'state_axes']

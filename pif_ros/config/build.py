@@ -1,0 +1,172 @@
+"""The filter that a configuration describes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.metadata import entry_points
+import inspect
+import math
+import os
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pif_ros.config.kinds import ConfigError
+from pif_ros.config.table import Config
+from pif_ros.core.belief import GridBelief
+from pif_ros.core.filters import DiracFeynmanFilter
+from pif_ros.core.grid import Grid
+from pif_ros.core.kernels import KernelSettings, stored_elements
+from pif_ros.core.models import Sensor, StateModel
+from pif_ros.core.systems import System, SYSTEMS
+from pif_ros.core.tracker import Tracker
+
+Made = TypeVar('Made')
+
+#: Bytes per stored weight while a kernel is made: twice its value and its index.
+BYTES_PER_WEIGHT = 24
+#: Arrays as large as the grid that a filter works with.
+ARRAYS_PER_GRID = 40
+
+
+def build_tracker(config: Config) -> Tracker[GridBelief]:
+    """Return the tracker of a configuration; ConfigError names the parameter that is wrong."""
+    system = find_system(config)
+    filter_ = build_filter(config, system)
+    depth = int(config.time.history_memory * 1e6 / (8 * filter_.grid.size))
+    return Tracker(filter_, _prior(config, filter_.grid), config.time.history, max(depth, 2))
+
+
+def build_filter(config: Config, system: System) -> DiracFeynmanFilter:
+    """Return the filter of a configuration over a system."""
+    grid = _grid(config, system.model)
+    settings = _kernel(config)
+    _check_memory(system.model, grid, settings)
+    sensors = {name: _sensor(config, name, system) for name in config.measurements.names}
+    return DiracFeynmanFilter(system.model, grid, sensors, settings,
+                              config.filter.average_cells)
+
+
+def find_system(config: Config) -> System:
+    """Return the system that is named, with its constants."""
+    name = config.model.name
+    known: dict[str, Callable[..., System]] = dict(SYSTEMS)
+    installed = {entry.name: entry for entry in entry_points(group='pif_ros.systems')}
+    if name not in known and name in installed:
+        known[name] = installed[name].load()
+    if name not in known:
+        raise ConfigError(f'model.name: expected one of {", ".join(sorted({*known, *installed}))},'
+                          f' got {name!r}')
+    return _made('model.params', known[name], config.model.params)
+
+
+def state_axes(name: str, given: Sequence[str], model: StateModel) -> tuple[int | None, ...]:
+    """Return the index of each state that is named, None for ''."""
+    for state in given:
+        if state and state not in model.names:
+            raise ConfigError(f'{name}: expected states out of {", ".join(model.names)}, '
+                              f'got {state!r}')
+    if len({state for state in given if state}) < sum(map(bool, given)):
+        raise ConfigError(f'{name}: expected each state once, got {list(given)}')
+    return tuple(model.names.index(state) if state else None for state in given)
+
+
+def _grid(config: Config, model: StateModel) -> Grid:
+    states = ', '.join(model.names)
+    for section, name, may_be_empty in (('grid', 'shape', False), ('grid', 'lower', False),
+                                        ('grid', 'upper', False), ('grid', 'periodic', True)):
+        given = getattr(config.grid, name)
+        if len(given) != model.ndim and not (may_be_empty and not given):
+            raise ConfigError(f'{section}.{name}: expected {model.ndim} values, one for each '
+                              f'state ({states}), got {list(given)}')
+    with _named('grid'):
+        return Grid(config.grid.lower, config.grid.upper, config.grid.shape,
+                    config.grid.periodic)
+
+
+def _kernel(config: Config) -> KernelSettings:
+    """Return how the kernel of a configuration is made."""
+    kernel = config.kernel
+    with _named('kernel'):
+        return KernelSettings(kernel.time_step, kernel.r, kernel.jacobian, kernel.extent,
+                              kernel.weights, kernel.tolerance)
+
+
+def _prior(config: Config, grid: Grid) -> GridBelief:
+    if config.prior.type == 'uniform':
+        return GridBelief.uniform(grid)
+    for name in ('mean', 'covariance_diagonal'):
+        given = getattr(config.prior, name)
+        if len(given) != grid.ndim:
+            raise ConfigError(f'prior.{name}: expected {grid.ndim} values, one for each state, '
+                              f'got {list(given)}')
+    if min(config.prior.covariance_diagonal) <= 0:
+        raise ConfigError('prior.covariance_diagonal: expected positive numbers, got '
+                          f'{list(config.prior.covariance_diagonal)}')
+    with _named('prior'):
+        return GridBelief.gaussian(grid, config.prior.mean,
+                                   np.diag(config.prior.covariance_diagonal))
+
+
+def _sensor(config: Config, source: str, system: System) -> Sensor:
+    given = config.measurements.sources[source]
+    prefix = f'measurements.{source}'
+    name = given.sensor or next(iter(system.sensors))
+    if name not in system.sensors:
+        raise ConfigError(f'{prefix}.sensor: expected one of {", ".join(system.sensors)}, '
+                          f'got {name!r}')
+    return _made(f'{prefix}.params', system.sensors[name], given.params)
+
+
+def _made(prefix: str, maker: Callable[..., Made], params: Mapping[str, Any]) -> Made:
+    """Return what a maker makes of some constants; ConfigError where they do not suit it."""
+    wanted = inspect.signature(maker).parameters
+    for name in params:
+        if name not in wanted:
+            raise ConfigError(f'{prefix}.{name}: expected one of '
+                              f'{", ".join(wanted) or "no constants"}, got {params[name]!r}')
+    for name, spec in wanted.items():
+        if spec.default is spec.empty and name not in params:
+            raise ConfigError(f'{prefix}.{name}: expected a value, got none')
+    values = {name: _constant(f'{prefix}.{name}', value, wanted[name].default)
+              for name, value in params.items()}
+    with _named(prefix):
+        return maker(**values)
+
+
+def _constant(name: str, value: Any, default: Any) -> Any:
+    """Return a constant as numbers where it is numeric; it must be of its default's kind."""
+    numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if isinstance(default, (int, float)) and not isinstance(default, bool) and not numeric:
+        raise ConfigError(f'{name}: expected a number, got {value!r}')
+    if numeric:
+        if not math.isfinite(value):
+            raise ConfigError(f'{name}: expected a finite number, got {value!r}')
+        return float(value)
+    return tuple(value) if hasattr(value, '__iter__') and not isinstance(value, str) else value
+
+
+def _check_memory(model: StateModel, grid: Grid, settings: KernelSettings) -> None:
+    """Refuse a grid or a kernel that would not fit, before anything of its size is made."""
+    free = os.sysconf('SC_AVPHYS_PAGES') * os.sysconf('SC_PAGE_SIZE')
+    cells, where = float(np.prod(np.array(grid.shape, dtype=float))), list(grid.shape)
+    needed = 8 * ARRAYS_PER_GRID * cells
+    if cells < np.iinfo(np.int32).max:
+        needed += BYTES_PER_WEIGHT * stored_elements(model, grid, settings)
+    if needed > 0.8 * free or cells >= np.iinfo(np.int32).max:
+        raise ConfigError(f'grid.shape: expected a grid whose kernel fits into the '
+                          f'{free / 1e9:.1f} GB of memory that are free, got {where} '
+                          f'({needed / 1e9:.3g} GB)')
+
+
+@contextmanager
+def _named(prefix: str) -> Iterator[None]:
+    """Put a section's name before what the core says of a value in it."""
+    try:
+        yield
+    except ConfigError:
+        raise
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f'{prefix}.{error}' if ':' in str(error) else
+                          f'{prefix}: {error}') from None

@@ -1,0 +1,112 @@
+"""What a parameter may hold, and how a wrong one is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, Field, field
+import math
+from typing import Any
+
+Value = bool | int | float | str | Sequence[Any] | None
+
+
+class ConfigError(ValueError):
+    """A parameter that cannot be: its full name, what was wanted and what was given."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a parameter may hold."""
+
+    wanted: str
+    take: Callable[[Value], Any]
+
+
+def _number(value: Value) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError
+    if not math.isfinite(value):
+        raise ValueError
+    return float(value)
+
+
+def _integer(value: Value) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
+        raise ValueError
+    return int(value)
+
+
+def _positive(value: Value) -> float:
+    number = _number(value)
+    if number <= 0:
+        raise ValueError
+    return number
+
+
+def _not_negative(value: Value) -> float:
+    number = _number(value)
+    if number < 0:
+        raise ValueError
+    return number
+
+
+def _bool(value: Value) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError
+    return value
+
+
+def _text(value: Value) -> str:
+    if not isinstance(value, str):
+        raise ValueError
+    return value
+
+
+def _name(value: Value) -> str:
+    if not _text(value):
+        raise ValueError
+    return str(value)
+
+
+def _many(one: Callable[[Value], Any]) -> Callable[[Value], tuple[Any, ...]]:
+    def take(value: Value) -> tuple[Any, ...]:
+        if value is None:
+            return ()
+        if isinstance(value, (str, bytes)) or not hasattr(value, '__iter__'):
+            raise ValueError
+        return tuple(one(item) for item in value)
+    return take
+
+
+def one_of(*options: str) -> Kind:
+    def take(value: Value) -> str:
+        if value not in options:
+            raise ValueError
+        return str(value)
+    return Kind(' | '.join(options), take)
+
+
+NUMBER, INTEGER = Kind('a finite number', _number), Kind('a whole number', _integer)
+POSITIVE = Kind('a positive number', _positive)
+NOT_NEGATIVE = Kind('a number, 0 or more', _not_negative)
+BOOL, TEXT, NAME = Kind('true or false', _bool), Kind('text', _text), Kind('a name', _name)
+NUMBERS = Kind('a list of finite numbers', _many(_number))
+INTEGERS = Kind('a list of whole numbers', _many(_integer))
+BOOLS = Kind('a list of true or false', _many(_bool))
+NAMES = Kind("a list of names (in quotes where YAML has its own mind: 'y')", _many(_text))
+
+
+def parameter(default: Any, kind: Kind, says: str, unit: str = '', live: bool = False) -> Any:
+    """Return a field that is a parameter; live ones may be set while the node runs."""
+    return field(default=default, metadata={
+        'kind': kind, 'says': says, 'unit': unit, 'live': live})
+
+
+def taken(name: str, value: Value, spec: Field[Any]) -> Any:
+    """Return a value as its parameter holds it; ConfigError where it is none of its kind."""
+    kind: Kind = spec.metadata['kind']
+    try:
+        return kind.take(value)
+    except (ValueError, TypeError, OverflowError):
+        shown = list(value) if hasattr(value, '__iter__') and not isinstance(value, str) else value
+        raise ConfigError(f'{name}: expected {kind.wanted}, got {shown!r}') from None

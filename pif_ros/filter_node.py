@@ -1,0 +1,291 @@
+"""The node: callbacks of a few lines around one Tracker."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+import functools
+import time
+from typing import Any
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from pif_ros import conversions, interface, parameters
+from pif_ros.accounts import Accounts, Throttle
+from pif_ros.config import build_tracker, ConfigError, find_system, state_axes
+from pif_ros.core.belief import GridBelief
+from pif_ros.core.filters import NANOSECONDS
+from pif_ros.core.tracker import Estimate, Measurement
+from pif_ros.sources import Refused, Source
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockChange, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Empty, Trigger
+
+#: A replay of more corrections than this waits until a burst of late measurements has ended ...
+LONG_REPLAY = 4
+#: ... but no longer than this, in seconds.
+PATIENCE = 0.2
+
+
+def guarded(callback: Callable[..., Any]) -> Callable[..., Any]:
+    """Keep the node alive whatever a callback meets; the fault is counted and logged."""
+    @functools.wraps(callback)
+    def run(self: FilterNode, *args: Any) -> Any:
+        try:
+            return callback(self, *args)
+        except Exception as error:  # noqa: B902
+            self.faults += 1
+            self.report('fault', f'{callback.__name__}: {type(error).__name__}: {error}')
+            return args[-1] if args else None
+    return run
+
+
+class FilterNode(Node):
+    """
+    Measurements in; pose, covariance and density out, on the topics of interface.py.
+
+    Raises ConfigError for parameters that make no filter.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__('filter_node', automatically_declare_parameters_from_overrides=True,
+                         **kwargs)
+        self.told = bool(self.get_parameters_by_prefix(''))
+        self.config = parameters.declare(self)
+        self.tracker = build_tracker(self.config)
+        self.accounts = Accounts(self.config.measurements.names)
+        self.faults = 0
+        self._throttle = Throttle()
+        self._queue: deque[Measurement] = deque()
+        self._burst_since: float | None = None
+        self._arrivals = self._arrivals_seen = 0
+        self._published_ns = -1
+        self._density_ns: int | None = None
+        self._read_axes()
+        self._warm_up()
+        self._connect()
+
+    # What comes in
+
+    @guarded
+    def _on_measurement(self, source: Source, msg: Any) -> None:
+        account = self.accounts.sources[source.name]
+        account.received += 1
+        try:
+            measurement = source.measurement(msg, self._now())
+        except Refused as refused:
+            self._reject(source.name, refused.reason, str(refused))
+            return
+        if len(self._queue) >= self.config.measurements.queue_length:
+            oldest = self._queue.popleft().source
+            self.accounts.sources[oldest].dropped += 1
+            self.report('dropped', f'{oldest}: dropped the oldest measurement of a full queue')
+        self._queue.append(measurement)
+        self._arrivals += 1
+        self._wake.trigger()
+
+    @guarded
+    def _on_initial_pose(self, msg: PoseWithCovarianceStamped) -> None:
+        now_ns = self._now()
+        if now_ns is None:
+            return
+        frame = msg.header.frame_id
+        prior = self.tracker.prior
+        try:
+            if frame not in ('', self.config.frame_id):
+                raise ValueError(f'frame_id: expected {self.config.frame_id!r}, got {frame!r}')
+            mean, covariance = conversions.gaussian_from_pose(
+                msg.pose, self._pose_axes, prior.mean(), prior.covariance())
+            belief = GridBelief.gaussian(prior.grid, mean, covariance)
+        except ValueError as error:
+            self.report('initialpose', f'initialpose: {error}')
+            return
+        self._restart(belief, min(conversions.stamp_to_ns(msg.header.stamp), now_ns) or now_ns)
+        self._publish(self.tracker.estimate())
+
+    @guarded
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._restart(None, None)
+        response.success, response.message = True, 'the prior holds at the next measurement'
+        return response
+
+    @guarded
+    def _on_global(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
+        self._restart(GridBelief.uniform(self.tracker.prior.grid), None)
+        return response
+
+    @guarded
+    def _on_jump(self, jump: TimeJump) -> None:
+        if jump.delta.nanoseconds >= 0 and jump.clock_change == ClockChange.ROS_TIME_NO_CHANGE:
+            return
+        self.get_logger().info(f'the clock jumped by {jump.delta.nanoseconds / NANOSECONDS:.3f} s:'
+                               ' back to the prior')
+        self._published_ns = -1
+        self._restart(None, None)
+
+    def _on_parameters(self, changes: list[Parameter]) -> SetParametersResult:
+        try:
+            self._live.update(parameters.live_values(changes, self.config.measurements.names))
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    # What is done with it
+
+    @guarded
+    def _work(self) -> None:
+        self._drain()
+        if self.tracker.backlog > LONG_REPLAY and self._burst_goes_on():
+            self._wake.trigger()
+            return
+        self._burst_since = None
+        if self.tracker.backlog:
+            estimate = self.tracker.estimate()
+            if estimate.log_evidence == -float('inf'):
+                self.report('impossible', 'a measurement that no state of the belief allows: '
+                            'the belief stays as it was')
+            self._publish(estimate)
+
+    @guarded
+    def _on_timer(self) -> None:
+        now_ns, newest_ns = self._now(), self.tracker.stamp_ns
+        if now_ns is None or newest_ns is None or self.tracker.backlog:
+            return
+        if now_ns > newest_ns + self.config.time.max_forecast * NANOSECONDS:
+            self.report('stale', f'the newest measurement is {(now_ns - newest_ns) / NANOSECONDS:.0f}'
+                        ' s old, more than time.max_forecast: no pose until the next one')
+            return
+        if now_ns > self._published_ns:
+            self._publish(self.tracker.forecast(now_ns))
+
+    def _drain(self) -> None:
+        while self._queue:
+            measurement = self._queue.popleft()
+            rejection = self.tracker.observe(measurement)
+            if rejection is None:
+                self.accounts.sources[measurement.source].accepted += 1
+            else:
+                behind = (self.tracker.stamp_ns or 0) - measurement.stamp_ns
+                self._reject(measurement.source, rejection.value,
+                             f'{rejection.value}, {behind / NANOSECONDS:.3f} s behind the newest')
+
+    def _burst_goes_on(self) -> bool:
+        """Return whether measurements still arrive; a replay is best made once, after them."""
+        now, since = time.monotonic(), self._burst_since
+        self._burst_since = now if since is None else since
+        arriving, self._arrivals_seen = self._arrivals != self._arrivals_seen, self._arrivals
+        return arriving and now - self._burst_since < PATIENCE
+
+    def _restart(self, belief: GridBelief | None, stamp_ns: int | None) -> None:
+        self._drain()
+        self._density_ns = None
+        self.tracker.reset(belief, stamp_ns)
+
+    # What goes out
+
+    def _publish(self, estimate: Estimate[GridBelief]) -> None:
+        """Publish an estimate, predicted to the last stamp that was published where that is later."""
+        if estimate.stamp_ns is None:
+            return
+        if estimate.stamp_ns < self._published_ns:
+            estimate = self.tracker.forecast(self._published_ns)
+        stamp_ns, belief = estimate.stamp_ns, estimate.belief
+        self._published_ns = stamp_ns
+        point = belief.mode() if self._live['pose.estimator'] == 'mode' else belief.mean()
+        pose = conversions.pose_message(point, belief.covariance(about=point), self._pose_axes,
+                                        self.config.pose.unestimated_variance)
+        self._pose.publish(conversions.stamped(pose, stamp_ns, self.config.frame_id))
+        if self._pose_unstamped.get_subscription_count():
+            self._pose_unstamped.publish(pose)
+        self._publish_density(belief, stamp_ns)
+
+    def _publish_density(self, belief: GridBelief, stamp_ns: int) -> None:
+        rate = self._live['density.rate']
+        if not rate or (self._density_ns is not None
+                        and stamp_ns < self._density_ns + NANOSECONDS / rate):
+            return
+        self._density_ns = stamp_ns
+        if self._density.get_subscription_count():
+            model, axes = self._model, self._density_axes
+            self._density.publish(conversions.density_message(
+                belief.marginal(axes), [model.names[i] for i in axes],
+                [model.units[i] for i in axes] if model.units else ()))
+        if self._map is not None and self._map.get_subscription_count():
+            x, y = self._pose_axes[:2]
+            self._map.publish(conversions.map_message(
+                belief.marginal([x, y]), stamp_ns, self.config.frame_id))
+
+    def report(self, kind: str, text: str) -> None:
+        """Warn of something, at most one line of a kind every few seconds."""
+        line = self._throttle.line(kind, text)
+        if line is not None:
+            self.get_logger().warning(line)
+
+    def _reject(self, source: str, reason: str, sentence: str) -> None:
+        self.accounts.sources[source].rejected[reason] += 1
+        self.report(f'{source}: {reason}', f'{source}: rejected a measurement: {sentence}')
+
+    # How it is set up
+
+    def _read_axes(self) -> None:
+        model = self._model = find_system(self.config).model
+        given = self.config.pose.axes or model.names[:2]
+        axes = state_axes('pose.axes', given, model)
+        if len(axes) > len(conversions.POSE_AXES):
+            raise ConfigError(f'pose.axes: expected at most {len(conversions.POSE_AXES)} states, '
+                              f'got {list(given)}')
+        self._pose_axes = axes + (None,) * (len(conversions.POSE_AXES) - len(axes))
+        shown = state_axes('density.axes', self.config.density.axes or model.names, model)
+        if None in shown:
+            raise ConfigError("density.axes: expected names of states, got ''")
+        self._density_axes = [axis for axis in shown if axis is not None]
+        self._live = {'pose.estimator': self.config.pose.estimator,
+                      'density.rate': self.config.density.rate}
+
+    def _warm_up(self) -> None:
+        """Do before the first measurement what need not be done at it."""
+        began = time.perf_counter()
+        filter_, grid = self.tracker.filter, self.tracker.prior.grid
+        kernel = filter_.kernel_at(0)
+        for remark in filter_.remarks():
+            self.get_logger().warning(remark)
+        self.get_logger().info(
+            f'{self.config.model.name} on {" x ".join(map(str, grid.shape))} cells: a kernel of '
+            f'{kernel.nnz:,} weights ({12e-6 * kernel.nnz:.1f} MB), '
+            f'made in {time.perf_counter() - began:.2f} s')
+
+    def _connect(self) -> None:
+        config, qos = self.config, interface.measurement_qos(
+            self.config.measurements.queue_length)
+        for name, source_config in config.measurements.sources.items():
+            source = Source(name, source_config, self.tracker.filter.sensors[name],
+                            config.time.max_ahead)
+            self.create_subscription(source.type, source.topic,
+                                     functools.partial(self._on_measurement, source), qos)
+        start = interface.INITIAL_POSE
+        self.create_subscription(start.type, start.name, self._on_initial_pose, start.qos)
+        self._pose, self._pose_unstamped, self._density = (
+            self.create_publisher(out.type, out.name, out.qos) for out in (
+                interface.POSE, interface.POSE_UNSTAMPED, interface.DENSITY))
+        flat = all(axis is not None for axis in self._pose_axes[:2])
+        out = interface.DENSITY_MAP
+        self._map = self.create_publisher(out.type, out.name, out.qos) if flat else None
+        for service, callback in ((interface.RESET, self._on_reset),
+                                  (interface.GLOBAL, self._on_global)):
+            self.create_service(service.type, service.name, callback)
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self._wake = self.create_guard_condition(self._work)
+        self._jump = self.get_clock().create_jump_callback(
+            JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1)),
+            post_callback=self._on_jump)
+        if config.publish.rate:
+            # a timer on the system's clock stands still when that clock is set back
+            clock = self.get_clock() if self.get_clock().ros_time_is_active else Clock(
+                clock_type=ClockType.STEADY_TIME)
+            self.create_timer(1 / config.publish.rate, self._on_timer, clock=clock)
+
+    def _now(self) -> int | None:
+        """Return the time in nanoseconds, None before there is a /clock."""
+        return int(self.get_clock().now().nanoseconds) or None

@@ -1,0 +1,61 @@
+"""What goes in and out of the node: the one table of topics and services."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from geometry_msgs.msg import PoseWithCovariance, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Empty, Trigger
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A topic or a service: its name, type and quality of service, and what it is for."""
+
+    name: str
+    type: Any
+    says: str
+    qos: QoSProfile | None = None
+
+    @property
+    def type_name(self) -> str:
+        """Return the type as ROS writes it, such as std_msgs/msg/Float64MultiArray."""
+        package, kind = self.type.__module__.split('.')[:2]
+        return f'{package}/{kind}/{self.type.__name__}'
+
+
+def _reliable(depth: int) -> QoSProfile:
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
+
+
+def measurement_qos(depth: int) -> QoSProfile:
+    """Return what every source is subscribed with: best effort matches every publisher."""
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+POSE = Endpoint('~/pose', PoseWithCovarianceStamped, 'after each correction, and predicted to now '
+                'at `publish.rate` between measurements', _reliable(100))
+POSE_UNSTAMPED = Endpoint('~/pose_unstamped', PoseWithCovariance, 'the same without header, where '
+                          'someone listens', _reliable(100))
+DENSITY = Endpoint('~/density', Float64MultiArray, 'the density over `density.axes`, at most at '
+                   '`density.rate`, where someone listens; `layout.dim` names each axis with its '
+                   'first coordinate, spacing and unit; the sum times the cell volume is 1',
+                   _reliable(1))
+DENSITY_MAP = Endpoint('~/density_map', OccupancyGrid, 'the marginal over x and y of the pose, for '
+                       'RViz and Foxglove: 100 in the densest cell', _LATCHED)
+PUBLICATIONS = (POSE, POSE_UNSTAMPED, DENSITY, DENSITY_MAP)
+
+INITIAL_POSE = Endpoint('initialpose', PoseWithCovarianceStamped, 'restarts the belief there; '
+                        "RViz's 2D Pose Estimate", _reliable(10))
+SUBSCRIPTIONS = (INITIAL_POSE,)
+
+RESET = Endpoint('~/reset', Trigger, 'back to the prior; it holds at the next measurement')
+GLOBAL = Endpoint('reinitialize_global_localization', Empty, 'uniform over the grid, as nav2 asks '
+                  'for it')
+SERVICES = (RESET, GLOBAL)

@@ -1,0 +1,96 @@
+"""What a node needs to be a good process: a clean end on a signal, one line for a bad start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import os
+from pathlib import Path
+import re
+import signal
+import sys
+from types import FrameType
+
+import yaml
+
+
+class Signals:
+    """
+    Becomes true at SIGINT or SIGTERM; a second one changes nothing.
+
+    To be made before rclpy is imported, so that a signal during the start counts too; rclpy is to
+    be initialised with SignalHandlerOptions.NO.
+    """
+
+    def __init__(self) -> None:
+        """Take over both signals."""
+        self._received = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def __call__(self) -> bool:
+        """Return whether the process was told to stop."""
+        return self._received
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self._received = True
+
+
+def logs_to_stdout() -> None:
+    """Keep stderr for what is wrong; to be called before rclpy is initialised."""
+    os.environ.setdefault('RCUTILS_LOGGING_USE_STDOUT', '1')
+    os.environ.setdefault('RCUTILS_LOGGING_BUFFERED_STREAM', '0')
+
+
+def failed(name: str, reason: str, status: int) -> int:
+    """Say on stderr in one line why a process cannot go on, and return its exit status."""
+    print(f'{name}: {" ".join(reason.split())}', file=sys.stderr)
+    return status
+
+
+def explain(error: Exception, arguments: Sequence[str]) -> str:
+    """Return in one line why ROS did not take its arguments, naming the parameter if it can."""
+    for path in params_files(arguments):
+        try:
+            tree = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+        except OSError as fault:
+            return f'{path}: expected a readable file, got {fault.strerror}'
+        except yaml.YAMLError as fault:
+            return f'{path}: expected YAML, got {fault}'
+        wrong = _wrong_list(tree)
+        if wrong is not None:
+            return wrong
+    text = re.sub(r', at \./src\S+', '', str(error)).splitlines()[0]
+    if "'bool'" in text:
+        text += " (y, n, on and off are true and false unless in quotes: 'y')"
+    return text.replace('failed to initialize rcl: ', '')
+
+
+def strangers(arguments: Sequence[str], name: str) -> str | None:
+    """Return in one line that no parameter file has parameters for a node of this name."""
+    found = set()
+    for path in params_files(arguments):
+        tree = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+        found |= set(tree) if isinstance(tree, dict) else set()
+    if not found:
+        return None
+    return (f'--params-file: expected parameters for the node {name}, '
+            f'got some for {", ".join(map(str, sorted(found)))} only')
+
+
+def params_files(arguments: Sequence[str]) -> list[str]:
+    """Return the parameter files among a process's arguments."""
+    return [after for before, after in zip(arguments, arguments[1:]) if before == '--params-file']
+
+
+def _wrong_list(tree: object, name: str = '') -> str | None:
+    """Return a line for the first list of a YAML tree that a ROS parameter cannot hold."""
+    if isinstance(tree, dict):
+        lines = (_wrong_list(value, f'{name}.{key}' if name else str(key))
+                 for key, value in tree.items())
+        return next((line for line in lines if line is not None), None)
+    if isinstance(tree, list) and len({type(item) for item in tree}) > 1:
+        short = name.split('ros__parameters.')[-1]
+        return f'{short}: expected a list of one type (2.0 beside 1.5, not 2), got {tree}'
+    if isinstance(tree, list) and any(isinstance(item, (list, dict)) for item in tree):
+        return f"{name.split('ros__parameters.')[-1]}: expected a flat list, got {tree}"
+    return None

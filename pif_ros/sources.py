@@ -1,0 +1,69 @@
+"""From the message of a source to a measurement, or to the reason why it is none."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pif_ros import conversions
+from pif_ros.config import ConfigError, SourceConfig
+from pif_ros.core.filters import NANOSECONDS
+from pif_ros.core.models import Sensor
+from pif_ros.core.tracker import Measurement
+
+
+class Refused(ValueError):
+    """A message that is no measurement: a reason to count by, and a sentence."""
+
+    def __init__(self, reason: str, sentence: str) -> None:
+        super().__init__(sentence)
+        self.reason = reason
+
+
+class Source:
+    """
+    One topic of measurements.
+
+    Raises ConfigError for a type that is not installed or fields that it has not.
+    """
+
+    def __init__(self, name: str, config: SourceConfig, sensor: Sensor,
+                 max_ahead: float) -> None:
+        self.name, self.topic, self._size = name, config.topic, sensor.size
+        self._max_ahead_ns = round(max_ahead * NANOSECONDS)
+        try:
+            self.type = conversions.message_class(config.type)
+        except ValueError as error:
+            raise ConfigError(f'measurements.{name}.type: {error}') from None
+        try:
+            self._read = conversions.field_reader(self.type, config.fields)
+        except ValueError as error:
+            raise ConfigError(f'measurements.{name}.fields: {error}') from None
+        self._stamped = conversions.has_header(self.type)
+
+    def measurement(self, msg: Any, now_ns: int | None) -> Measurement:
+        """Return the measurement in a message that arrives now; Refused where it is none."""
+        if now_ns is None:
+            raise Refused('no clock', 'expected a /clock before the first measurement')
+        try:
+            values = self._read(msg)
+        except IndexError:
+            raise Refused('wrong length', f'expected {self._size} numbers, got a message whose '
+                          'arrays are too short') from None
+        if len(values) != self._size:
+            raise Refused('wrong length', f'expected {self._size} numbers, got {len(values)}')
+        if not all(map(math.isfinite, values)):
+            raise Refused('not finite', f'expected finite numbers, got {list(values)}')
+        return Measurement(self._stamp(msg, now_ns), self.name, values)
+
+    def _stamp(self, msg: Any, now_ns: int) -> int:
+        if not self._stamped:
+            return now_ns
+        stamp_ns = conversions.stamp_to_ns(msg.header.stamp)
+        if stamp_ns <= 0:
+            raise Refused('no stamp', f'expected a stamp after 0, got {stamp_ns / NANOSECONDS} s')
+        if stamp_ns > now_ns + self._max_ahead_ns:
+            ahead = (stamp_ns - now_ns) / NANOSECONDS
+            raise Refused('from the future', 'expected a stamp at most time.max_ahead after now, '
+                          f'got one {ahead:.3f} s after it')
+        return stamp_ns
