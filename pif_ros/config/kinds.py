@@ -93,7 +93,7 @@ BOOL, TEXT, NAME = Kind('true or false', _bool), Kind('text', _text), Kind('a na
 NUMBERS = Kind('a list of finite numbers', _many(_number))
 INTEGERS = Kind('a list of whole numbers', _many(_integer))
 BOOLS = Kind('a list of true or false', _many(_bool))
-NAMES = Kind("a list of names (in quotes where YAML has its own mind: 'y')", _many(_text))
+NAMES = Kind('a list of names', _many(_text))
 
 
 def parameter(default: Any, kind: Kind, says: str, unit: str = '', live: bool = False) -> Any:
@@ -109,4 +109,7 @@ def taken(name: str, value: Value, spec: Field[Any]) -> Any:
         return kind.take(value)
     except (ValueError, TypeError, OverflowError):
         shown = list(value) if hasattr(value, '__iter__') and not isinstance(value, str) else value
-        raise ConfigError(f'{name}: expected {kind.wanted}, got {shown!r}') from None
+        hint = (" (y, n, on and off are true and false unless in quotes: 'y')"
+                if kind is NAMES and isinstance(shown, list)
+                and any(isinstance(item, bool) for item in shown) else '')
+        raise ConfigError(f'{name}: expected {kind.wanted}{hint}, got {shown!r}') from None

@@ -34,10 +34,10 @@ class ModelConfig:
 class GridConfig:
     """Where the density lives."""
 
-    lower: tuple[float, ...] = parameter((-6.0, -6.0), NUMBERS, 'lower edge on each axis',
-                                         'of the state')
-    upper: tuple[float, ...] = parameter((6.0, 6.0), NUMBERS, 'upper edge on each axis',
-                                         'of the state')
+    lower: tuple[float, ...] = parameter((-6.0, -6.0), NUMBERS, 'lower edge on each axis, '
+                                         'in the units of the state')
+    upper: tuple[float, ...] = parameter((6.0, 6.0), NUMBERS, 'upper edge on each axis, '
+                                         'in the units of the state')
     shape: tuple[int, ...] = parameter((62, 62), INTEGERS, 'cells on each axis')
     periodic: tuple[bool, ...] = parameter((), BOOLS, 'axes on which the upper edge is the lower '
                                            'again; empty: none')
@@ -48,10 +48,10 @@ class PriorConfig:
     """What is believed before the first measurement."""
 
     type: str = parameter('gaussian', one_of('gaussian', 'uniform'), 'shape of the prior')
-    mean: tuple[float, ...] = parameter((0.0, 0.0), NUMBERS, 'mean, where gaussian',
-                                        'of the state')
+    mean: tuple[float, ...] = parameter((0.0, 0.0), NUMBERS, 'mean, where gaussian, '
+                                        'in the units of the state')
     covariance_diagonal: tuple[float, ...] = parameter(
-        (10.0, 10.0), NUMBERS, 'variances, where gaussian', 'of the state, squared')
+        (10.0, 10.0), NUMBERS, 'variances, where gaussian, in these units squared')
 
 
 @dataclass(frozen=True)
