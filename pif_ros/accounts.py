@@ -10,17 +10,23 @@ import time
 
 @dataclass
 class SourceAccount:
-    """One source's measurements: received = accepted + rejected (by reason) + dropped + queued."""
+    """
+    One source's measurements: received = accepted + rejected (by reason) + dropped + queued.
+
+    outliers: those of the accepted that the belief hardly allowed.
+    """
 
     received: int = 0
     accepted: int = 0
     dropped: int = 0
+    outliers: int = 0
     rejected: Counter[str] = field(default_factory=Counter)
 
     def __str__(self) -> str:
         """Return the account in a line."""
         reasons = ', '.join(f'{count} {reason}' for reason, count in self.rejected.items())
-        return (f'{self.received} received, {self.accepted} accepted, '
+        return (f'{self.received} received, {self.accepted} accepted'
+                f'{f" ({self.outliers} outliers)" if self.outliers else ""}, '
                 f'{self.rejected.total()} rejected{f" ({reasons})" if reasons else ""}, '
                 f'{self.dropped} dropped')
 
@@ -30,10 +36,14 @@ class Accounts:
 
     def __init__(self, names: Sequence[str]) -> None:
         self.sources = {name: SourceAccount() for name in names}
+        self.initial_pose = SourceAccount()
 
     def __str__(self) -> str:
         """Return all accounts in a line."""
-        return '; '.join(f'{name}: {account}' for name, account in self.sources.items())
+        lines = [f'{name}: {account}' for name, account in self.sources.items()]
+        if self.initial_pose.received:
+            lines.append(f'initialpose: {self.initial_pose}')
+        return '; '.join(lines)
 
 
 class Throttle:

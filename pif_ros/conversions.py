@@ -191,7 +191,7 @@ def density_message(belief: GridBelief, names: Sequence[str],
             label=label, size=int(grid.shape[axis]), stride=int(stride)))
     values = np.ascontiguousarray(belief.density / belief.mass)
     data = array.array('d')
-    data.frombytes(memoryview(values.ravel()).cast('B'))
+    data.frombytes(values.data.cast('B'))
     message.data = data
     return message
 

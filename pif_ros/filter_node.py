@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 import functools
+import math
 import time
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
+import numpy as np
 from pif_ros import conversions, interface, parameters
 from pif_ros.accounts import Accounts, Throttle
 from pif_ros.config import build_tracker, ConfigError, find_system, state_axes
@@ -19,10 +21,14 @@ from pif_ros.sources import Refused, Source
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockChange, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidParameterTypeException, ParameterUninitializedException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Empty, Trigger
 
+#: The belief hardly allows a measurement whose likelihood, averaged over the belief, is less than
+#: that of ten standard deviations.
+OUTLIER = -0.5 * 10**2
 #: A replay of more corrections than this waits until a burst of late measurements has ended ...
 LONG_REPLAY = 4
 #: ... but no longer than this, in seconds.
@@ -50,15 +56,18 @@ class FilterNode(Node):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__('filter_node', automatically_declare_parameters_from_overrides=True,
-                         **kwargs)
-        self.told = bool(self.get_parameters_by_prefix(''))
+        try:
+            super().__init__('filter_node', **kwargs)
+        except (InvalidParameterTypeException, ParameterUninitializedException):
+            raise ConfigError(parameters.mistyped(self)) from None
+        self.told = bool(parameters.told(self))
         self.config = parameters.declare(self)
         self.tracker = build_tracker(self.config)
         self.accounts = Accounts(self.config.measurements.names)
         self.faults = 0
         self._throttle = Throttle()
         self._queue: deque[Measurement] = deque()
+        self._unjudged: list[Measurement] = []
         self._burst_since: float | None = None
         self._arrivals = self._arrivals_seen = 0
         self._published_ns = -1
@@ -88,21 +97,25 @@ class FilterNode(Node):
 
     @guarded
     def _on_initial_pose(self, msg: PoseWithCovarianceStamped) -> None:
-        now_ns = self._now()
-        if now_ns is None:
-            return
+        now_ns, account = self._now(), self.accounts.initial_pose
         frame = msg.header.frame_id
         prior = self.tracker.prior
+        account.received += 1
         try:
+            if now_ns is None:
+                raise ValueError('expected a /clock before it')
             if frame not in ('', self.config.frame_id):
                 raise ValueError(f'frame_id: expected {self.config.frame_id!r}, got {frame!r}')
             mean, covariance = conversions.gaussian_from_pose(
                 msg.pose, self._pose_axes, prior.mean(), prior.covariance())
             belief = GridBelief.gaussian(prior.grid, mean, covariance)
         except ValueError as error:
+            account.rejected['no belief'] += 1
             self.report('initialpose', f'initialpose: {error}')
             return
-        self._restart(belief, min(conversions.stamp_to_ns(msg.header.stamp), now_ns) or now_ns)
+        account.accepted += 1
+        stamp_ns = conversions.stamp_to_ns(msg.header.stamp)
+        self._restart(belief, stamp_ns if 0 < stamp_ns < now_ns else now_ns)
         self._publish(self.tracker.estimate())
 
     @guarded
@@ -143,9 +156,7 @@ class FilterNode(Node):
         self._burst_since = None
         if self.tracker.backlog:
             estimate = self.tracker.estimate()
-            if estimate.log_evidence == -float('inf'):
-                self.report('impossible', 'a measurement that no state of the belief allows: '
-                            'the belief stays as it was')
+            self._judge()
             self._publish(estimate)
 
     @guarded
@@ -154,8 +165,9 @@ class FilterNode(Node):
         if now_ns is None or newest_ns is None or self.tracker.backlog:
             return
         if now_ns > newest_ns + self.config.time.max_forecast * NANOSECONDS:
-            self.report('stale', f'the newest measurement is {(now_ns - newest_ns) / NANOSECONDS:.0f}'
-                        ' s old, more than time.max_forecast: no pose until the next one')
+            age = (now_ns - newest_ns) / NANOSECONDS
+            self.report('stale', f'the newest measurement is {age:.0f} s old, more than '
+                        'time.max_forecast: no pose until the next one')
             return
         if now_ns > self._published_ns:
             self._publish(self.tracker.forecast(now_ns))
@@ -166,10 +178,30 @@ class FilterNode(Node):
             rejection = self.tracker.observe(measurement)
             if rejection is None:
                 self.accounts.sources[measurement.source].accepted += 1
+                self._unjudged.append(measurement)
             else:
                 behind = (self.tracker.stamp_ns or 0) - measurement.stamp_ns
                 self._reject(measurement.source, rejection.value,
                              f'{rejection.value}, {behind / NANOSECONDS:.3f} s behind the newest')
+
+    def _judge(self) -> None:
+        """Count and tell which of the new measurements the belief hardly allows, or not at all."""
+        for measurement in self._unjudged:
+            log_evidence = self.tracker.log_evidence(measurement)
+            if log_evidence is None:
+                continue
+            sensor = self.tracker.filter.sensors[measurement.source]
+            hit = np.zeros(sensor.size)
+            surprise = log_evidence - float(sensor.log_likelihood(
+                hit, hit[:, None], measurement.stamp_ns / NANOSECONDS)[0])
+            if surprise < OUTLIER:
+                self.accounts.sources[measurement.source].outliers += 1
+                self.report(f'{measurement.source}: outlier', f'{measurement.source}: ' + (
+                    'a measurement that no state of the belief allows: the belief stays as it was'
+                    if surprise == -math.inf else 'a measurement about '
+                    f'{math.sqrt(-2 * surprise):.0f} standard deviations from all that is believed'
+                ))
+        self._unjudged.clear()
 
     def _burst_goes_on(self) -> bool:
         """Return whether measurements still arrive; a replay is best made once, after them."""
@@ -180,19 +212,20 @@ class FilterNode(Node):
 
     def _restart(self, belief: GridBelief | None, stamp_ns: int | None) -> None:
         self._drain()
+        self._unjudged.clear()
         self._density_ns = None
         self.tracker.reset(belief, stamp_ns)
 
     # What goes out
 
     def _publish(self, estimate: Estimate[GridBelief]) -> None:
-        """Publish an estimate, predicted to the last stamp that was published where that is later."""
+        """Publish an estimate, but never with an older stamp than the last."""
         if estimate.stamp_ns is None:
             return
-        if estimate.stamp_ns < self._published_ns:
-            estimate = self.tracker.forecast(self._published_ns)
-        stamp_ns, belief = estimate.stamp_ns, estimate.belief
-        self._published_ns = stamp_ns
+        stamp_ns = max(estimate.stamp_ns, self._published_ns)
+        if estimate.stamp_ns < stamp_ns:
+            estimate = self.tracker.forecast(stamp_ns)
+        belief, self._published_ns = estimate.belief, stamp_ns
         point = belief.mode() if self._live['pose.estimator'] == 'mode' else belief.mean()
         pose = conversions.pose_message(point, belief.covariance(about=point), self._pose_axes,
                                         self.config.pose.unestimated_variance)
@@ -213,9 +246,8 @@ class FilterNode(Node):
                 belief.marginal(axes), [model.names[i] for i in axes],
                 [model.units[i] for i in axes] if model.units else ()))
         if self._map is not None and self._map.get_subscription_count():
-            x, y = self._pose_axes[:2]
             self._map.publish(conversions.map_message(
-                belief.marginal([x, y]), stamp_ns, self.config.frame_id))
+                belief.marginal(self._plane), stamp_ns, self.config.frame_id))
 
     def report(self, kind: str, text: str) -> None:
         """Warn of something, at most one line of a kind every few seconds."""
@@ -237,41 +269,38 @@ class FilterNode(Node):
             raise ConfigError(f'pose.axes: expected at most {len(conversions.POSE_AXES)} states, '
                               f'got {list(given)}')
         self._pose_axes = axes + (None,) * (len(conversions.POSE_AXES) - len(axes))
+        self._plane = [axis for axis in self._pose_axes[:2] if axis is not None]
         shown = state_axes('density.axes', self.config.density.axes or model.names, model)
         if None in shown:
             raise ConfigError("density.axes: expected names of states, got ''")
         self._density_axes = [axis for axis in shown if axis is not None]
-        self._live = {'pose.estimator': self.config.pose.estimator,
-                      'density.rate': self.config.density.rate}
+        self._live: dict[str, Any] = {'pose.estimator': self.config.pose.estimator,
+                                      'density.rate': self.config.density.rate}
 
     def _warm_up(self) -> None:
         """Do before the first measurement what need not be done at it."""
         began = time.perf_counter()
-        filter_, grid = self.tracker.filter, self.tracker.prior.grid
-        kernel = filter_.kernel_at(0)
-        for remark in filter_.remarks():
+        what = self.tracker.filter.describe()
+        self.get_logger().info(f'{self.config.model.name}: {what}, made in '
+                               f'{time.perf_counter() - began:.2f} s')
+        for remark in self.tracker.filter.remarks():
             self.get_logger().warning(remark)
-        self.get_logger().info(
-            f'{self.config.model.name} on {" x ".join(map(str, grid.shape))} cells: a kernel of '
-            f'{kernel.nnz:,} weights ({12e-6 * kernel.nnz:.1f} MB), '
-            f'made in {time.perf_counter() - began:.2f} s')
 
     def _connect(self) -> None:
-        config, qos = self.config, interface.measurement_qos(
-            self.config.measurements.queue_length)
+        config = self.config
+        known = {self.resolve_topic_name(own.name): own.type
+                 for own in (*interface.PUBLICATIONS, *interface.SUBSCRIPTIONS)}
         for name, source_config in config.measurements.sources.items():
-            source = Source(name, source_config, self.tracker.filter.sensors[name],
-                            config.time.max_ahead)
-            self.create_subscription(source.type, source.topic,
-                                     functools.partial(self._on_measurement, source), qos)
+            self._listen(Source(name, source_config, self.tracker.filter.sensors[name],
+                                config.time.max_ahead), known)
         start = interface.INITIAL_POSE
         self.create_subscription(start.type, start.name, self._on_initial_pose, start.qos)
         self._pose, self._pose_unstamped, self._density = (
             self.create_publisher(out.type, out.name, out.qos) for out in (
                 interface.POSE, interface.POSE_UNSTAMPED, interface.DENSITY))
-        flat = all(axis is not None for axis in self._pose_axes[:2])
         out = interface.DENSITY_MAP
-        self._map = self.create_publisher(out.type, out.name, out.qos) if flat else None
+        self._map = (self.create_publisher(out.type, out.name, out.qos)
+                     if len(self._plane) == 2 else None)
         for service, callback in ((interface.RESET, self._on_reset),
                                   (interface.GLOBAL, self._on_global)):
             self.create_service(service.type, service.name, callback)
@@ -282,9 +311,23 @@ class FilterNode(Node):
             post_callback=self._on_jump)
         if config.publish.rate:
             # a timer on the system's clock stands still when that clock is set back
-            clock = self.get_clock() if self.get_clock().ros_time_is_active else Clock(
-                clock_type=ClockType.STEADY_TIME)
+            simulated = self.get_parameter('use_sim_time').value
+            clock = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
             self.create_timer(1 / config.publish.rate, self._on_timer, clock=clock)
+
+    def _listen(self, source: Source, known: dict[str, Any]) -> None:
+        """Subscribe to a source, given the types of the topics that are known so far."""
+        try:
+            topic = self.resolve_topic_name(source.topic)
+            if known.setdefault(topic, source.type) is not source.type:
+                raise ValueError(f'its messages are of type {known[topic].__name__}')
+            self.create_subscription(
+                source.type, source.topic, functools.partial(self._on_measurement, source),
+                interface.measurement_qos(self.config.measurements.queue_length))
+        except Exception as error:  # noqa: B902  rclpy's own have no common base
+            raise ConfigError(f'measurements.{source.name}.topic: expected a topic for messages '
+                              f'of type {source.type.__name__}, got {source.topic!r} '
+                              f'({str(error).splitlines()[0]})') from None
 
     def _now(self) -> int | None:
         """Return the time in nanoseconds, None before there is a /clock."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovariance, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy, qos_profile_services_default, QoSProfile, ReliabilityPolicy)
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Empty, Trigger
 
@@ -19,7 +20,7 @@ class Endpoint:
     name: str
     type: Any
     says: str
-    qos: QoSProfile | None = None
+    qos: QoSProfile = field(default_factory=lambda: qos_profile_services_default)
 
     @property
     def type_name(self) -> str:
@@ -51,8 +52,8 @@ DENSITY_MAP = Endpoint('~/density_map', OccupancyGrid, 'the marginal over x and 
                        'RViz and Foxglove: 100 in the densest cell', _LATCHED)
 PUBLICATIONS = (POSE, POSE_UNSTAMPED, DENSITY, DENSITY_MAP)
 
-INITIAL_POSE = Endpoint('initialpose', PoseWithCovarianceStamped, 'restarts the belief there; '
-                        "RViz's 2D Pose Estimate", _reliable(10))
+INITIAL_POSE = Endpoint('initialpose', PoseWithCovarianceStamped, 'restarts the belief '
+                        "there; RViz's 2D Pose Estimate", _reliable(10))
 SUBSCRIPTIONS = (INITIAL_POSE,)
 
 RESET = Endpoint('~/reset', Trigger, 'back to the prior; it holds at the next measurement')

@@ -19,24 +19,32 @@ def declare(node: Node) -> Config:
     """
     Declare every parameter of the table on a node, and return what it was given.
 
-    The node must have been made with automatically_declare_parameters_from_overrides, so that a
-    name that nobody knows is found.  ConfigError names the first parameter that cannot be.
+    ConfigError names the first parameter that cannot be.
     """
-    given = {name: parameter.value
-             for name, parameter in node.get_parameters_by_prefix('').items() if not _ours(name)}
+    given = told(node)
     config = Config.from_parameters(given)
-    if not isinstance(node.get_parameter('use_sim_time').value, bool):
-        raise ConfigError('use_sim_time: expected true or false, '
-                          f"got {node.get_parameter('use_sim_time').value!r}")
     specs = specifications(config.measurements.names)
-    for name in given:
-        node.undeclare_parameter(name)
     for name in {**specs, **given}:
         spec = specs.get(name)
         live = bool(spec is not None and spec.metadata['live'])
-        value = given[name] if given.get(name) is not None else spec and spec.default
+        value = given[name] if name in given else spec and spec.default
         node.declare_parameter(name, _plain(value), _descriptor(spec, live), ignore_override=True)
     return config
+
+
+def told(node: Node) -> dict[str, Any]:
+    """Return what a node was given by name, declared or not; without rclpy's own parameters."""
+    # rclpy shows a name that nobody declared, and an empty list, nowhere else
+    return {name: [] if parameter.value is None else parameter.value
+            for name, parameter in node._parameter_overrides.items() if not _ours(name)}
+
+
+def mistyped(node: Node) -> str:
+    """Return in a line which of rclpy's own parameters, all true or false, is neither."""
+    given = {name: node._parameter_overrides[name].value
+             for name in FOREIGN if name in node._parameter_overrides}
+    return next(f'{name}: expected true or false, got {[] if value is None else value!r}'
+                for name, value in given.items() if not isinstance(value, bool))
 
 
 def live_values(changes: Sequence[Parameter], sources: Sequence[str]) -> dict[str, Any]:

@@ -54,7 +54,7 @@ def explain(error: Exception, arguments: Sequence[str]) -> str:
             tree = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
         except OSError as fault:
             return f'{path}: expected a readable file, got {fault.strerror}'
-        except yaml.YAMLError as fault:
+        except (yaml.YAMLError, UnicodeError) as fault:
             return f'{path}: expected YAML, got {fault}'
         wrong = _wrong_list(tree)
         if wrong is not None:
@@ -71,7 +71,7 @@ def strangers(arguments: Sequence[str], name: str) -> str | None:
     for path in params_files(arguments):
         tree = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
         found |= set(tree) if isinstance(tree, dict) else set()
-    if not found:
+    if not found or any('*' in str(key) for key in found):
         return None
     return (f'--params-file: expected parameters for the node {name}, '
             f'got some for {", ".join(map(str, sorted(found)))} only')

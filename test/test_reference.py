@@ -3,7 +3,14 @@
 from pathlib import Path
 import re
 
+import numpy as np
+from pif_ros.config import build_tracker, Config
+from pif_ros.core.belief import GridBelief
+from pif_ros.core.filters import DiracFeynmanFilter
+from pif_ros.core.grid import Grid
+from pif_ros.core.kernels import KernelSettings
 from pif_ros.reference import filled, tables
+import pytest
 
 README = Path(__file__).parent.parent / 'README.md'
 
@@ -18,3 +25,43 @@ def test_a_parameter_that_changes_makes_the_readme_differ():
     text = README.read_text(encoding='utf-8')
     assert filled(text.replace('`kernel.time_step` | `0.01`', '`kernel.time_step` | `0.02`')) \
         == text
+
+
+def test_the_parameter_file_of_the_readme_makes_a_filter(tmp_path):
+    path = tmp_path / 'robot.yaml'
+    path.write_text(block('yaml'), encoding='utf-8')
+    tracker = build_tracker(Config.from_yaml(path))
+    assert set(tracker.filter.sensors) == {'uwb', 'tower', 'gps'}
+
+
+def test_the_notebook_example_finds_both_signs(capsys):
+    exec(block('python', 'GridBelief'), {})
+    mean, modes = capsys.readouterr().out.split(' [', 1)
+    # y = x^2 = 4.1: the density is even, so that the mean is 0 and the modes are at +-2.02
+    assert abs(float(mean.strip('[]'))) < 1e-9
+    found = [float(x) for x in re.findall(r'array\(\[([^]]+)\]\)', modes)]
+    assert sorted(found) == pytest.approx([-2.02, 2.02], abs=0.15)
+
+
+def test_a_system_of_ones_own_works_as_the_readme_has_it():
+    scope = {}
+    exec(block('python', 'pendulum'), scope)
+    system = scope['pendulum']()
+    sensors = {'main': system.sensors['height']()}
+    grid = Grid((-np.pi, -8), (np.pi, 8), (60, 80), (True, False))
+    df = DiracFeynmanFilter(system.model, grid, sensors, KernelSettings(0.01))
+    belief = GridBelief.gaussian(grid, [1.0, 0.0], 0.01 * np.eye(2))
+    moved = df.predict(belief, 0, 200_000_000)
+    # the drift alone: 0.2 s of a pendulum let go at 1 rad
+    angle, speed = 1.0, 0.0
+    for _ in range(2000):
+        angle, speed = (angle + 1e-4 * speed,
+                        speed + 1e-4 * (-9.81 * np.sin(angle) - 0.1 * speed))
+    assert moved.mean() == pytest.approx([angle, speed], abs=0.05)
+    assert np.isfinite(df.correct(moved, [-0.6], 'main', 200_000_000)[1])
+
+
+def block(language: str, containing: str = '') -> str:
+    """Return the README's first code block of a language that contains some text."""
+    blocks = re.findall(rf'```{language}\n(.*?)```', README.read_text(encoding='utf-8'), re.S)
+    return next(found for found in blocks if containing in found)

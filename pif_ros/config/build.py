@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib.metadata import entry_points
+from importlib.metadata import entry_points, EntryPoint
 import inspect
 import math
 import os
@@ -34,8 +34,8 @@ def build_tracker(config: Config) -> Tracker[GridBelief]:
     """Return the tracker of a configuration; ConfigError names the parameter that is wrong."""
     system = find_system(config)
     filter_ = build_filter(config, system)
-    depth = int(config.time.history_memory * 1e6 / (8 * filter_.grid.size))
-    return Tracker(filter_, _prior(config, filter_.grid), config.time.history, max(depth, 2))
+    depth = min(config.time.history_memory * 1e6 / (8 * filter_.grid.size), 1e9)
+    return Tracker(filter_, _prior(config, filter_.grid), config.time.history, max(int(depth), 2))
 
 
 def build_filter(config: Config, system: System) -> DiracFeynmanFilter:
@@ -54,11 +54,15 @@ def find_system(config: Config) -> System:
     known: dict[str, Callable[..., System]] = dict(SYSTEMS)
     installed = {entry.name: entry for entry in entry_points(group='pif_ros.systems')}
     if name not in known and name in installed:
-        known[name] = installed[name].load()
+        known[name] = _loaded(installed[name])
     if name not in known:
         raise ConfigError(f'model.name: expected one of {", ".join(sorted({*known, *installed}))},'
                           f' got {name!r}')
-    return _made('model.params', known[name], config.model.params)
+    system = _made('model.params', known[name], config.model.params)
+    if not isinstance(system, System):
+        raise ConfigError(f'model.name: expected an entry point that makes a System, got {name!r},'
+                          f' which makes {system!r}')
+    return system
 
 
 def state_axes(name: str, given: Sequence[str], model: StateModel) -> tuple[int | None, ...]:
@@ -119,6 +123,18 @@ def _sensor(config: Config, source: str, system: System) -> Sensor:
     return _made(f'{prefix}.params', system.sensors[name], given.params)
 
 
+def _loaded(entry: EntryPoint) -> Callable[..., System]:
+    try:
+        maker = entry.load()
+    except Exception as error:  # noqa: B902  whatever an import of foreign code may raise
+        raise ConfigError(f'model.name: expected an entry point that loads, got {entry.name!r} '
+                          f'({type(error).__name__}: {error})') from None
+    if not callable(maker):
+        raise ConfigError(f'model.name: expected an entry point that makes a System, '
+                          f'got {entry.name!r}, which is {maker!r}')
+    return maker
+
+
 def _made(prefix: str, maker: Callable[..., Made], params: Mapping[str, Any]) -> Made:
     """Return what a maker makes of some constants; ConfigError where they do not suit it."""
     wanted = inspect.signature(maker).parameters
@@ -131,8 +147,12 @@ def _made(prefix: str, maker: Callable[..., Made], params: Mapping[str, Any]) ->
             raise ConfigError(f'{prefix}.{name}: expected a value, got none')
     values = {name: _constant(f'{prefix}.{name}', value, wanted[name].default)
               for name, value in params.items()}
-    with _named(prefix):
-        return maker(**values)
+    try:
+        with _named(prefix):
+            return maker(**values)
+    except ArithmeticError as error:
+        raise ConfigError(f'{prefix}: expected constants that can be reckoned with, '
+                          f'got {dict(params)} ({error.args[-1]})') from None
 
 
 def _constant(name: str, value: Any, default: Any) -> Any:

@@ -50,6 +50,27 @@ def _not_negative(value: Value) -> float:
     return number
 
 
+def _count(value: Value) -> int:
+    number = _integer(value)
+    if not 1 <= number <= 1_000_000:
+        raise ValueError
+    return number
+
+
+def _frequency(value: Value) -> float:
+    number = _number(value)
+    if number and not 0.001 <= number <= 1000:
+        raise ValueError
+    return number
+
+
+def _duration(value: Value) -> float:
+    number = _number(value)
+    if not 0 <= number <= 1e9:
+        raise ValueError
+    return number
+
+
 def _bool(value: Value) -> bool:
     if not isinstance(value, bool):
         raise ValueError
@@ -89,6 +110,9 @@ def one_of(*options: str) -> Kind:
 NUMBER, INTEGER = Kind('a finite number', _number), Kind('a whole number', _integer)
 POSITIVE = Kind('a positive number', _positive)
 NOT_NEGATIVE = Kind('a number, 0 or more', _not_negative)
+COUNT = Kind('a whole number, 1 to 1000000', _count)
+DURATION = Kind('a number from 0 to 1e9', _duration)
+FREQUENCY = Kind('0, or a number from 0.001 to 1000', _frequency)
 BOOL, TEXT, NAME = Kind('true or false', _bool), Kind('text', _text), Kind('a name', _name)
 NUMBERS = Kind('a list of finite numbers', _many(_number))
 INTEGERS = Kind('a list of whole numbers', _many(_integer))

@@ -18,8 +18,9 @@ from typing import Any
 import yaml
 
 from pif_ros.config.kinds import (
-    BOOL, BOOLS, ConfigError, INTEGER, INTEGERS, NAME, NAMES, NOT_NEGATIVE, NUMBER, NUMBERS,
-    one_of, parameter, POSITIVE, taken, TEXT, Value)
+    BOOL, BOOLS, ConfigError, COUNT, DURATION, FREQUENCY, INTEGER, INTEGERS, NAME, NAMES,
+    NOT_NEGATIVE, NUMBER, NUMBERS, one_of, parameter, POSITIVE, taken, TEXT, Value)
+
 
 @dataclass(frozen=True)
 class ModelConfig:
@@ -96,7 +97,7 @@ class MeasurementsConfig:
     """All that is measured."""
 
     names: tuple[str, ...] = parameter(('main',), NAMES, 'names of the sources')
-    queue_length: int = parameter(1000, INTEGER, 'measurements that may wait, here and in DDS; '
+    queue_length: int = parameter(1000, COUNT, 'measurements that may wait, here and in DDS; '
                                   'the oldest is dropped and counted')
     sources: Mapping[str, SourceConfig] = field(default_factory=lambda: {'main': SourceConfig()})
 
@@ -117,7 +118,7 @@ class PoseConfig:
 class PublishConfig:
     """How often the pose is predicted to now."""
 
-    rate: float = parameter(20.0, NOT_NEGATIVE, 'poses predicted to now; 0: only after '
+    rate: float = parameter(20.0, FREQUENCY, 'poses predicted to now; 0: only after '
                             'corrections', 'Hz')
 
 
@@ -134,12 +135,12 @@ class DensityConfig:
 class TimeConfig:
     """How far time may be out of order."""
 
-    history: float = parameter(1.0, NOT_NEGATIVE, 'how late a measurement may be and still be put '
+    history: float = parameter(1.0, DURATION, 'how late a measurement may be and still be put '
                                'where it belongs', 's')
     history_memory: float = parameter(256.0, POSITIVE, 'most memory for the beliefs kept for that',
                                       'MB')
-    max_ahead: float = parameter(1.0, POSITIVE, 'how far a stamp may be ahead of the clock', 's')
-    max_forecast: float = parameter(60.0, POSITIVE, 'how far beyond the newest measurement the '
+    max_ahead: float = parameter(1.0, DURATION, 'how far a stamp may be ahead of the clock', 's')
+    max_forecast: float = parameter(60.0, DURATION, 'how far beyond the newest measurement the '
                                     'pose is predicted', 's')
 
 

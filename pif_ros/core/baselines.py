@@ -71,6 +71,14 @@ class ExtendedKalmanFilter:
         return (GaussianBelief(m + gain @ v, rest @ P @ rest.T + gain @ R @ gain.T),
                 float(log_evidence))
 
+    def describe(self) -> str:
+        """Return what the filter is."""
+        return 'extended Kalman filter'
+
+    def remarks(self) -> list[str]:
+        """Return nothing: it has no grid that could be too coarse."""
+        return []
+
     def _step(self, m: Array, P: Array, t: float, h: float) -> tuple[Array, Array]:
         def slope(m: Array, P: Array, t: float) -> tuple[Array, Array]:
             F = self.model.jacobian(m, t)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Protocol, TypeVar
@@ -21,16 +21,22 @@ Array = NDArray[np.float64]
 Belief = TypeVar('Belief')
 
 NANOSECONDS = 1_000_000_000
-#: No cell of a posterior is emptier than this: a subnormal number costs as much as a hundred others.
+#: No cell of a posterior is emptier: a subnormal number costs as much as a hundred others.
 FLOOR = 1e-250
 #: An evidence below this share of the largest likelihood may have lost digits to underflow.
 UNSAFE = 1e-200
 
 
 class Filter(Protocol[Belief]):
-    """Two verbs on a belief; what every filter of this package can do."""
+    """Two verbs on a belief, and a word on itself; what every filter of this package can do."""
 
-    time_step_ns: int
+    @property
+    def time_step_ns(self) -> int:
+        """Return the length of a step in nanoseconds."""
+
+    @property
+    def sensors(self) -> Mapping[str, Sensor]:
+        """Return the sensors by name."""
 
     def predict(self, belief: Belief, from_ns: int, to_ns: int) -> Belief:
         """Return the belief carried from one stamp to a later one, in steps from the first."""
@@ -38,6 +44,12 @@ class Filter(Protocol[Belief]):
     def correct(self, belief: Belief, y: ArrayLike, sensor: str,
                 at_ns: int) -> tuple[Belief, float]:
         """Return the belief given a measurement, and the log evidence of that measurement."""
+
+    def describe(self) -> str:
+        """Return what the filter is, in a line; what can be made beforehand is made now."""
+
+    def remarks(self) -> list[str]:
+        """Return what a user should know of how well it can work, a sentence each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,13 +127,19 @@ class DiracFeynmanFilter:
         """Return the kernel of the step that starts at a stamp."""
         return self._kernels(t_ns if self.model.changes_with_time else 0)
 
+    def describe(self) -> str:
+        """Return the size of grid and kernel; the first kernel is made now."""
+        kernel = self.kernel_at(0)
+        return (f'Dirac-Feynman filter on {" x ".join(map(str, self.grid.shape))} cells, '
+                f'a kernel of {kernel.nnz:,} weights ({12e-6 * kernel.nnz:.1f} MB)')
+
     def remarks(self) -> list[str]:
-        """Return what a user should know of how the grid fits the sensors, a sentence each."""
+        """Return how the grid fits the sensors, a sentence for each that it does not fit."""
         return [remark for name, likelihood in self._likelihoods.items()
                 for remark in likelihood.remarks(name)]
 
     @cached_property
-    def _kernels(self):  # type: ignore[no-untyped-def]
+    def _kernels(self) -> Callable[[int], sparse.csr_array]:
         # a model that changes with time comes back to the same stamps when it replays
         return lru_cache(maxsize=64)(lambda t_ns: dirac_feynman(
             self.model, self.grid, self.kernel, t_ns / NANOSECONDS))

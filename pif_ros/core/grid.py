@@ -98,8 +98,8 @@ class Grid:
 
     def select(self, axes: Sequence[int]) -> Grid:
         """Return the grid of some of the axes, in the order given."""
-        return Grid(*(tuple(values[i] for i in axes) for values in
-                      (self.lower, self.upper, self.shape, self.periodic)))
+        return Grid(tuple(self.lower[i] for i in axes), tuple(self.upper[i] for i in axes),
+                    tuple(self.shape[i] for i in axes), tuple(self.periodic[i] for i in axes))
 
     def _circles(self) -> list[tuple[int, float, float]]:
         return [(i, low, high) for i, (low, high, round_)

@@ -88,7 +88,7 @@ class GridLikelihood:
         width = np.zeros(self.grid.size)
         for d, half in enumerate(np.diag(self.grid.spacing / 2)):
             low, high = (sensor.function(x + side * half[:, None], 0.0) for side in (-1, 1))
-            change = self._whiten @ sensor.residual(np.zeros(sensor.size), high - low)
+            change = self._whiten @ sensor.difference(high, low)
             np.maximum(width, np.linalg.norm(change, axis=0), out=width)
         return np.nan_to_num(width, nan=0.0, posinf=0.0)
 

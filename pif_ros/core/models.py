@@ -94,7 +94,11 @@ class Sensor:
     def residual(self, y: ArrayLike, expected: Array) -> Array:
         """Return y - h for expected measurements h (m, ...), angles the short way round."""
         shape = (-1,) + (1,) * (expected.ndim - 1)
-        v = np.asarray(y, dtype=float).reshape(shape) - expected
+        return self.difference(np.asarray(y, dtype=float).reshape(shape), expected)
+
+    def difference(self, a: Array, b: Array) -> Array:
+        """Return a - b of measurements (m, ...), angles the short way round."""
+        v = a - b
         for i in np.flatnonzero(self.angular):
             v[i] = (v[i] + np.pi) % (2 * np.pi) - np.pi
         return v
@@ -114,10 +118,11 @@ class Sensor:
 
     def jacobian(self, x: Array, t: float) -> Array:
         """Return dh_i/dx_j at states (n, ...) by central differences, shape (m, n, ...)."""
-        return central_differences(lambda z: self.function(z, t), x)
+        return central_differences(lambda z: self.function(z, t), x, self.difference)
 
 
-def central_differences(function: Callable[[Array], Array], x: Array) -> Array:
+def central_differences(function: Callable[[Array], Array], x: Array,
+                        minus: Callable[[Array, Array], Array] = np.subtract) -> Array:
     """Return d function_i / dx_j, shape (m, n, ...), error of second order in 6e-6 |x|."""
     x = np.asarray(x, dtype=float)
     columns = []
@@ -126,7 +131,7 @@ def central_differences(function: Callable[[Array], Array], x: Array) -> Array:
         up, down = x.copy(), x.copy()
         up[j] += step
         down[j] -= step
-        columns.append((function(up) - function(down)) / (up[j] - down[j]))
+        columns.append(minus(function(up), function(down)) / (up[j] - down[j]))
     return np.stack(columns, axis=1)
 
 

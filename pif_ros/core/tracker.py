@@ -108,6 +108,12 @@ class Tracker(Generic[Belief]):
         self._forget()
         return self._newest()
 
+    def log_evidence(self, measurement: Measurement) -> float | None:
+        """Return log p(y | all before it) of a measurement, None where it is not remembered."""
+        place = bisect.bisect_left(self._timeline, measurement)
+        known = self._timeline[place:place + 1] == [measurement] and place < len(self._posteriors)
+        return self._posteriors[place].log_evidence if known else None
+
     def forecast(self, stamp_ns: int) -> Estimate[Belief]:
         """Return what is believed of a later moment; commits to nothing."""
         newest = self.estimate()

@@ -109,12 +109,12 @@ def step_moments(model: StateModel, x: Array, settings: KernelSettings, t: float
     spread = np.broadcast_to(g[..., None], (n, n, x.shape[1]))
     if r == 0:
         return plain, spread
-    move, A, error = np.zeros_like(plain), None, plain
-    settled = np.ones(x.shape[1], dtype=bool)
+    move, error, one = np.zeros_like(plain), plain, np.eye(n)[..., None]
+    A, settled = one, np.ones(x.shape[1], dtype=bool)
     for _ in range(iterations):
-        A = np.eye(n)[..., None] - r * eps * model.jacobian(x + r * move, tau)
-        settled &= _determinant(A - np.eye(n)[..., None]) > 0.3
-        A = np.where(settled, A, np.eye(n)[..., None])
+        A = one - r * eps * model.jacobian(x + r * move, tau)
+        settled &= _determinant(A - one) > 0.3
+        A = np.where(settled, A, one)
         move = move + _solve(A, error)
         error = eps * np.asarray(model.drift(x + r * move, tau), dtype=float) - move
     settled &= np.all(np.abs(error) <= 1e-2 * np.sqrt(np.diag(g))[:, None]
@@ -135,4 +135,4 @@ def _determinant(D: Array) -> Array:
 
 def _solve(A: Array, b: Array) -> Array:
     """Solve A x = b for matrices (n, n, N) and vectors (n, N)."""
-    return np.linalg.solve(np.moveaxis(A, -1, 0), b.T[..., None])[..., 0].T
+    return np.asarray(np.linalg.solve(np.moveaxis(A, -1, 0), b.T[..., None])[..., 0].T, dtype=float)

@@ -1,0 +1,134 @@
+"""The Plaza recordings: ranges to four radio beacons, and where the mower really was."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import distribution, PackageNotFoundError
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.io import loadmat
+
+NAMES = ('Plaza1', 'Plaza2')
+_COLUMNS = {'GT': 4, 'TD': 4, 'TL': 3}
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """
+    A drive among beacons; the ranges stand in the order in which they were received.
+
+    truth_stamps_ns: (t,) increasing; truth: (t, 3), x and y in metres, heading in radians;
+    range_stamps_ns: (k,) when each range was taken; beacon_ids: (k,); ranges: (k,) in metres, as
+    read by the radios; beacons: where each beacon stands, in metres.
+    """
+
+    name: str
+    truth_stamps_ns: NDArray[np.int64]
+    truth: NDArray[np.float64]
+    range_stamps_ns: NDArray[np.int64]
+    beacon_ids: NDArray[np.int64]
+    ranges: NDArray[np.float64]
+    beacons: Mapping[int, tuple[float, float]]
+
+    def __post_init__(self) -> None:
+        """Refuse truth out of order, and ranges to beacons that stand nowhere."""
+        if len(self.truth_stamps_ns) == 0 or len(self.range_stamps_ns) == 0:
+            raise ValueError(f'{self.name}: expected at least one pose and one range')
+        if np.any(np.diff(self.truth_stamps_ns) <= 0):
+            raise ValueError(f'{self.name}: expected increasing stamps of the truth')
+        unknown = set(self.beacon_ids.tolist()) - set(self.beacons)
+        if unknown:
+            raise ValueError(f'{self.name}: no position of beacon {min(unknown)}')
+
+    @property
+    def start_ns(self) -> int:
+        """Return the stamp of the first known pose, which is time zero of every picture."""
+        return int(self.truth_stamps_ns[0])
+
+    @property
+    def arrivals_ns(self) -> NDArray[np.int64]:
+        """Return when each range arrived: no earlier than any range received before it."""
+        return np.maximum.accumulate(self.range_stamps_ns)
+
+    def seconds(self, stamps_ns: ArrayLike) -> NDArray[np.float64]:
+        """Return stamps as seconds since the start."""
+        elapsed = np.asarray(stamps_ns, dtype=np.int64) - self.start_ns
+        return np.asarray(elapsed * 1e-9, dtype=np.float64)
+
+    def truth_at(self, stamps_ns: ArrayLike) -> NDArray[np.float64]:
+        """
+        Return x, y and the unwrapped heading at the stamps, (..., 3), linear between the poses.
+
+        ValueError where a stamp lies outside the truth.
+        """
+        stamps = np.asarray(stamps_ns, dtype=np.int64)
+        first, last = self.truth_stamps_ns[[0, -1]]
+        if np.any((stamps < first) | (stamps > last)):
+            raise ValueError(f'expected stamps between {first} and {last} ns')
+        x, y, heading = self.truth.T
+        at, known = self.seconds(stamps), self.seconds(self.truth_stamps_ns)
+        return np.stack([np.interp(at, known, v) for v in (x, y, np.unwrap(heading))], axis=-1)
+
+
+def load(name: str = 'Plaza1', path: str | Path | None = None) -> Recording:
+    """
+    Return a recording, from a .mat file at `path` or from the data that come with gtsam.
+
+    ValueError or FileNotFoundError say in one line what is missing or wrong.
+    """
+    if name not in NAMES:
+        raise ValueError(f"expected a recording of {' or '.join(NAMES)}, got {name!r}")
+    file = Path(path) if path else _shipped(name)
+    if not file.is_file():
+        raise FileNotFoundError(f'no such recording: {file}')
+    try:
+        content = loadmat(str(file), variable_names=list(_COLUMNS))
+    except Exception as e:  # loadmat raises half a dozen types, struct.error among them
+        raise ValueError(f'{file} is no MATLAB file: {e}') from None
+    tables = {key: _table(file, content, key) for key in _COLUMNS}
+    return _assemble(name, tables['GT'], tables['TD'], tables['TL'])
+
+
+def _shipped(name: str) -> Path:
+    """Find the recording in the installed distribution of gtsam, which need not be importable."""
+    hint = f'{name} comes with gtsam: pip install --no-deps gtsam, or give the path of its file'
+    try:
+        file = Path(str(distribution('gtsam').locate_file(f'gtsam/Data/{name}_.mat')))
+    except PackageNotFoundError:
+        raise FileNotFoundError(hint) from None
+    if not file.is_file():
+        raise FileNotFoundError(hint)
+    return file
+
+
+def _table(file: Path, content: Mapping[str, object], key: str) -> NDArray[np.float64]:
+    """Return a table of the file, refusing a wrong shape and values that are not finite."""
+    columns = _COLUMNS[key]
+    if key not in content:
+        raise ValueError(f'{file}: expected a table {key}')
+    table = np.asarray(content[key])
+    if table.ndim != 2 or table.shape[1] != columns or not np.issubdtype(table.dtype, np.number):
+        raise ValueError(f'{file}: expected {key} of {columns} columns, got {table.shape}')
+    if not np.all(np.isfinite(table)):
+        raise ValueError(f'{file}: expected finite numbers in {key}')
+    return np.asarray(table, dtype=float)
+
+
+def _assemble(name: str, GT: NDArray[np.float64], TD: NDArray[np.float64],
+              TL: NDArray[np.float64]) -> Recording:
+    """Name the columns of GT (time, x, y, heading), TD (time, antenna, beacon, range), TL."""
+    return Recording(
+        name=name,
+        truth_stamps_ns=_nanoseconds(GT[:, 0]), truth=GT[:, 1:],
+        range_stamps_ns=_nanoseconds(TD[:, 0]),
+        beacon_ids=TD[:, 2].astype(np.int64), ranges=TD[:, 3],
+        beacons=MappingProxyType(
+            {int(b): (float(x), float(y)) for b, x, y in sorted(TL.tolist())}))
+
+
+def _nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.int64]:
+    return np.rint(seconds * 1e9).astype(np.int64)

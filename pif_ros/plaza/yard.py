@@ -1,0 +1,37 @@
+"""The filter's parameters for the yard of a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pif_ros.plaza.recording import Recording
+from pif_ros.share import find
+import yaml
+
+_MARGIN = 10.0
+
+
+def parameters_for(recording: Recording, out: Path) -> Path:
+    """
+    Return the parameter file for a recording.
+
+    It is the one that comes with the package, which is for Plaza1; elsewhere a copy in out, with
+    the beacons and the yard of that recording.
+    """
+    shipped = find('config/plaza_range_only.yaml')
+    if recording.name == 'Plaza1':
+        return shipped
+    tree = yaml.safe_load(shipped.read_text(encoding='utf-8'))
+    given = next(iter(tree.values()))['ros__parameters']
+    for beacon, place in recording.beacons.items():
+        given['measurements'][f'beacon_{beacon}']['params']['landmark'] = list(place)
+    grid, places = given['grid'], np.array(list(recording.beacons.values()))
+    spacing = np.subtract(grid['upper'], grid['lower']) / grid['shape']
+    lower = np.floor(places.min(axis=0) - _MARGIN)
+    shape = np.ceil((places.max(axis=0) + _MARGIN - lower) / spacing)
+    grid['lower'], grid['shape'] = lower.tolist(), [int(n) for n in shape]
+    grid['upper'] = (lower + shape * spacing).tolist()
+    file = out / f'{recording.name.lower()}.yaml'
+    file.write_text(yaml.safe_dump(tree, sort_keys=False), encoding='utf-8')
+    return file

@@ -1,0 +1,169 @@
+"""The likelihood of a measurement in every cell."""
+
+import tracemalloc
+
+from hypothesis import given, strategies as st
+import numpy as np
+from pif_ros.core.belief import GridBelief
+from pif_ros.core.grid import Grid
+from pif_ros.core.likelihood import GridLikelihood
+from pif_ros.core.models import Sensor
+from pif_ros.core.systems import bearing_sensor, range_sensor
+import pytest
+from scipy import stats
+
+
+def flat(grid):
+    return GridBelief.uniform(grid).density.ravel()
+
+
+def averages(grid, sensor, y, points, t=0.0):
+    """Return the log of the likelihood's average over each cell, from so many points per axis."""
+    inner = (np.arange(points) + 0.5) / points - 0.5
+    offsets = np.stack(np.meshgrid(*[inner] * grid.ndim, indexing='ij')).reshape(grid.ndim, -1)
+    found = []
+    for centre in grid.points.T:
+        x = centre[:, None] + offsets * grid.spacing[:, None]
+        h, R = sensor.function(x, t), sensor.noise(t)
+        v = np.asarray(y)[:, None] - h
+        for i in np.flatnonzero(sensor.angular):
+            v[i] = np.angle(np.exp(1j * v[i]))
+        square = np.einsum('ik,ij,jk->k', v, np.linalg.inv(R), v)
+        found.append(np.mean(np.exp(-square / 2)) / np.sqrt(np.linalg.det(2 * np.pi * R)))
+    with np.errstate(divide='ignore'):
+        return np.log(found)
+
+
+def test_cells_that_resolve_the_sensor_take_the_density_at_their_centre():
+    R = np.array([[2.0, 0.7], [0.7, 1.0]])
+    grid = Grid((-1, -1), (1, 1), (8, 8))
+    sensor = Sensor(lambda x, t: np.stack([x[0] * x[1], np.sin(x[0])]), R)
+    found = GridLikelihood(grid, sensor).log(np.array([0.3, -2.0]), flat(grid), 0.0)
+    exact = [stats.multivariate_normal([x * y, np.sin(x)], R).logpdf([0.3, -2.0])
+             for x, y in grid.points.T]
+    np.testing.assert_allclose(found, exact, rtol=1e-12)
+    assert GridLikelihood(grid, sensor).remarks('s') == []
+
+
+@given(st.floats(-3, 3), st.floats(0.02, 0.9))
+def test_a_cell_wider_than_the_likelihood_takes_its_average(y, sigma):
+    # y = x + sigma w: the average over a cell is a difference of two distribution functions
+    grid = Grid((-3.5,), (3.5,), (7,))
+    sensor = Sensor(lambda x, t: x, [[sigma**2]])
+    found = GridLikelihood(grid, sensor).log(np.array([y]), flat(grid), 0.0)
+    edges = np.linspace(-3.5, 3.5, 8)
+    exact = np.diff(stats.norm(y, sigma).cdf(edges))
+    # points at most a deviation apart; they see the edge of the cell, where the density jumps to
+    # nothing, to a few per cent of its height there, and the heights add up to 1
+    np.testing.assert_allclose(np.exp(found), exact, atol=0.03)
+
+
+@pytest.mark.parametrize('sigma', [0.1, 0.03, 0.01, 0.003, 0.001])
+@pytest.mark.parametrize('y', [0.0, 0.01, -0.12, 0.217])
+def test_however_narrow_a_likelihood_the_cell_around_it_takes_all_of_it(sigma, y):
+    grid = Grid((-1.5,), (1.5,), (3,))
+    sensor = Sensor(lambda x, t: x, [[sigma**2]])
+    found = GridLikelihood(grid, sensor).log(np.array([y]), flat(grid), 0.0)
+    exact = np.diff(stats.norm(y, sigma).cdf([-0.5, 0.5]))[0]
+    assert found[1] == pytest.approx(np.log(exact), abs=0.05)
+
+
+@pytest.mark.parametrize('y', [0.05, 0.15, 0.2, 0.25])
+def test_a_cell_within_which_the_sensor_turns_back_takes_its_average_too(y):
+    # y = x^2 + w around 0: the same at both edges of the cell, but not within it
+    grid = Grid((-10.5,), (10.5,), (21,))
+    sensor = Sensor(lambda x, t: x**2, [[0.01]])
+    found = GridLikelihood(grid, sensor).log(np.array([y]), flat(grid), 0.0)
+    exact = averages(grid, sensor, [y], 2000)
+    assert found[10] == pytest.approx(exact[10], abs=0.05)
+
+
+def test_a_sensor_that_changes_with_time_is_averaged_by_its_slope_at_that_time():
+    grid = Grid((-10,), (10,), (20,))
+    sensor = Sensor(lambda x, t: x * t, [[0.01]], time_dependent=True)
+    found = GridLikelihood(grid, sensor).log(np.array([5.0]), flat(grid), 1.0)
+    # y = 5 lies on the edge between two cells: half of the likelihood is in either
+    np.testing.assert_allclose(np.exp(found[[14, 15]]), 0.5, atol=0.05)
+
+
+@pytest.mark.parametrize('sensor, y', [
+    (range_sensor([0.3, -0.2], 0.05), [1.7]),
+    (range_sensor([0.3, -0.2], 0.05, scale=1.1, bias=0.4), [2.0]),
+    (bearing_sensor([0.3, -0.2], 0.05), [np.pi - 0.02]),
+    (bearing_sensor([0.3, -0.2], 0.05), [-np.pi - 0.02]),
+    (Sensor(lambda x, t: x, [[0.02, 0.012], [0.012, 0.01]]), [0.4, 0.7]),
+])
+def test_rings_rays_and_correlated_noise_on_wide_cells_are_averages(sensor, y):
+    grid = Grid((-2, -2), (2, 2), (10, 10))
+    found = GridLikelihood(grid, sensor).log(np.array(y), flat(grid), 0.0)
+    # 120 points per axis resolve the narrowest of these by 15 points to a deviation
+    exact = averages(grid, sensor, y, 120)
+    peak = exact.max()
+    assert np.sum(exact > peak - 2) >= 3
+    # 8 points per axis, up to a deviation apart, and a jump at the edge of the cell
+    np.testing.assert_allclose(np.exp(found - peak), np.exp(exact - peak), atol=0.06)
+
+
+@pytest.mark.parametrize('y', [1.03, 1.5, 2.2])
+def test_a_ring_a_fiftieth_of_a_cell_wide_lights_up_every_cell_it_crosses(y):
+    # a range to 1 cm on cells of half a metre; the cell with the landmark in it is left out
+    grid = Grid((-3, -3), (3, 3), (12, 12))
+    sensor = range_sensor([0.3, -0.2], 0.01)
+    found = GridLikelihood(grid, sensor).log(np.array([y]), flat(grid), 0.0)
+    exact = averages(grid, sensor, [y], 400)
+    crossed = exact > exact.max() - 1
+    assert crossed.sum() > 5
+    # 400 points are a tenth of a deviation apart: exact; half of it either way would be noticed
+    np.testing.assert_allclose(found[crossed], exact[crossed], atol=0.4)
+
+
+def test_cells_without_belief_are_not_worth_an_average():
+    asked = []
+
+    def h(x, t):
+        asked.append(x.size)
+        return x
+
+    grid = Grid((0,), (100,), (100,))
+    likelihood = GridLikelihood(grid, Sensor(h, [[0.01]]))
+    density = np.full(100, 1e-12)
+    density[50] = 1.0
+    likelihood.log(np.array([50.5]), density, 0.0)
+    asked.clear()
+    found = likelihood.log(np.array([50.2]), density, 0.0)
+    assert sum(asked) <= 32
+    # the cell holds all of the likelihood but what lies more than 0.2 to the left of y
+    assert found[50] == pytest.approx(np.log(stats.norm(0, 0.1).cdf(2 * 0.1)), abs=0.02)
+
+
+def test_without_averages_every_cell_takes_its_centre_and_the_remark_says_what_follows():
+    grid = Grid((0,), (10,), (10,))
+    likelihood = GridLikelihood(grid, Sensor(lambda x, t: x, [[0.01]]), average_cells=False)
+    found = likelihood.log(np.array([3.0]), flat(grid), 0.0)
+    np.testing.assert_allclose(found, stats.norm(grid.axes[0], 0.1).logpdf(3.0), rtol=1e-12)
+    [remark] = likelihood.remarks('lidar')
+    assert "'lidar'" in remark and '100%' in remark and '10.0' in remark
+    assert 'average_cells' in remark and '\n' not in remark
+
+
+def test_a_cell_that_is_partly_out_of_the_sensors_domain_averages_over_the_rest():
+    def root(x, t):
+        with np.errstate(invalid='ignore'):
+            return np.sqrt(x)
+
+    grid = Grid((-1.5,), (1.5,), (3,))
+    found = GridLikelihood(grid, Sensor(root, [[0.01]])).log(np.array([0.3]), flat(grid), 0.0)
+    assert np.isnan(found[0])
+    assert np.isfinite(found[2])
+
+
+def test_averages_in_four_dimensions_fit_into_memory():
+    # 3 points per axis are 81 per cell; on 38,000 cells the belief itself takes 0.3 MB
+    grid = Grid((0,) * 4, (1,) * 4, (14,) * 4)
+    likelihood = GridLikelihood(grid, Sensor(lambda x, t: x**2, 1e-4 * np.eye(4)))
+    density = flat(grid)
+    tracemalloc.start()
+    likelihood.log(np.full(4, 0.3), density, 0.0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100e6

@@ -1,0 +1,155 @@
+"""The player, heard over DDS."""
+
+from collections.abc import Callable
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from follower import Follower, until
+import numpy as np
+from numpy.testing import assert_allclose
+from pif_ros.plaza.player_node import Player, Spin
+from pif_ros.plaza.recording import Recording
+from pif_ros.plaza.settings import Settings
+import pytest
+
+FAST = {'speed': 0.0, 'follow': '/filter_node/pose', 'timeout': 5.0}
+
+
+Spinner = Callable[..., Spin]
+
+
+def play(spinner: Spinner, recording: Recording, follower: Follower,
+         **settings: float) -> None:
+    """Play to a follower in this process until it has heard everything."""
+    player = Player(recording, Settings(**{**FAST, **settings}))
+    spin = spinner(player, follower)
+    player.play(spin)
+    until(spin, lambda: len(follower.ranges) >= player.sent)
+
+
+def test_every_range_is_heard_once_with_its_own_stamp_beacon_and_value(
+        spinner: Spinner, plaza: Recording) -> None:
+    follower = Follower()
+    play(spinner, plaza, follower, duration=20.0)
+    sent = np.flatnonzero(plaza.seconds(plaza.arrivals_ns) <= 20.0)
+    expected = sorted((int(plaza.range_stamps_ns[i]), f'beacon_{plaza.beacon_ids[i]}')
+                      for i in sent)
+    assert sorted((stamp, frame) for stamp, frame, _ in follower.ranges) == expected
+    heard = {stamp: value for stamp, _, value in follower.ranges}
+    assert_allclose([heard[stamp] for stamp in plaza.range_stamps_ns[sent].tolist()],
+                    plaza.ranges[sent], rtol=1e-6)
+
+
+def test_a_late_block_comes_after_the_range_that_it_is_late_for(
+        spinner: Spinner, small: Recording) -> None:
+    follower = Follower()
+    play(spinner, small, follower, start=80.0, duration=15.0)
+    late = small.range_stamps_ns < small.arrivals_ns
+    block = set(small.range_stamps_ns[late].tolist())
+    before = int(small.arrivals_ns[late][0])
+    stamps = [stamp for stamp, _, _ in follower.ranges]
+    first = next(i for i, stamp in enumerate(stamps) if stamp in block)
+    assert {before, *block} <= set(stamps[:first + len(block) + 1])
+    assert stamps.index(before) <= first + len(block)
+    assert min(stamps[first + len(block) + 1:]) > before
+
+
+def test_no_range_is_sent_before_the_one_before_it_is_answered(
+        spinner: Spinner, small: Recording) -> None:
+    """Oracle: a follower that answers only twelve ranges has heard thirteen at the time-out."""
+    follower = Follower(respond=12)
+    player = Player(small, Settings(**{**FAST, 'timeout': 0.7}))
+    with pytest.raises(TimeoutError, match='no pose on /filter_node/pose .* at 3.500 s'):
+        player.play(spinner(player, follower))
+    assert len(follower.ranges) == player.sent == 13
+
+
+def test_the_clock_never_runs_back_and_stops_just_short_of_an_arrival(
+        spinner: Spinner, small: Recording) -> None:
+    follower = Follower()
+    play(spinner, small, follower, duration=60.0)
+    assert np.diff(follower.clocks).min() >= 0
+    arrivals = {stamp for stamp, _, _ in follower.ranges}
+    assert not arrivals & set(follower.clocks)
+    assert {stamp - 1 for stamp in arrivals} <= set(follower.clocks)
+
+
+def test_the_truth_is_played_beside_the_ranges(
+        spinner: Spinner, small: Recording) -> None:
+    follower = Follower()
+    play(spinner, small, follower, duration=10.0)
+    stamps = np.array([stamp for stamp, _, _ in follower.truths])
+    assert_allclose(np.diff(stamps), 0.2e9, rtol=1e-6)
+    assert_allclose([(x, y) for _, x, y in follower.truths], small.truth_at(stamps)[:, :2])
+
+
+def test_ten_seconds_at_tenfold_speed_take_one_second(
+        spinner: Spinner, small: Recording) -> None:
+    follower = Follower(respond=0)
+    player = Player(small, Settings(speed=10.0, duration=10.0))
+    spin = spinner(player, follower)
+    until(spin, lambda: not player._missing())
+    began = time.monotonic()
+    player.play(spin)
+    assert 0.9 < time.monotonic() - began - 0.5 < 2.5  # the half second is the clock's lead
+    until(spin, lambda: len(follower.ranges) == player.sent == 39)
+
+
+def test_says_who_is_missing_where_nobody_listens(
+        spinner: Spinner, small: Recording) -> None:
+    player = Player(small, Settings(speed=1.0, timeout=0.2))
+    with pytest.raises(TimeoutError, match='nobody at /clock, /beacon_0/range.* after 0.2 s'):
+        player.play(spinner(player))
+
+
+def test_stops_at_once_when_told_to(
+        spinner: Spinner, small: Recording) -> None:
+    follower = Follower()
+    player = Player(small, Settings(**FAST))
+    player.play(spinner(player, follower), stopped=lambda: len(follower.ranges) >= 5)
+    assert player.sent <= 6
+
+
+def player_process(*arguments: str) -> subprocess.Popen:
+    command = [sys.executable, '-m', 'pif_ros.plaza.player', '--ros-args']
+    command += [word for argument in arguments for word in ('-p', argument)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_two_processes_lose_nothing(
+        spinner: Spinner, synthetic_file: Path, small: Recording) -> None:
+    follower = Follower()
+    spin = spinner(follower)
+    process = player_process(f'path:={synthetic_file}', 'speed:=0', 'follow:=/filter_node/pose')
+    while process.poll() is None:
+        spin(0.05)
+    assert (process.returncode, process.stderr.read().count('recording')) == (0, 10)
+    until(spin, lambda: len(follower.ranges) == len(small.ranges))
+    assert sorted(stamp for stamp, _, _ in follower.ranges) == sorted(
+        small.range_stamps_ns.tolist())
+
+
+@pytest.mark.usefixtures('ros')
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_status_0_and_not_a_word(
+        synthetic_file: Path, number: signal.Signals) -> None:
+    process = player_process(f'path:={synthetic_file}')
+    assert 'waiting for the other end' in process.stdout.readline()
+    process.send_signal(number)
+    process.send_signal(number)
+    assert (process.wait(10.0), process.stderr.read()) == (0, '')
+
+
+@pytest.mark.usefixtures('ros')
+@pytest.mark.parametrize(('argument', 'line'), [
+    ('speed:=-1.0', "plaza_player: parameter 'speed': expected a number of at least 0, got -1.0"),
+    ('sped:=1.0', "plaza_player: parameter 'sped': expected one of recording, path, speed, "
+     'follow, start, duration, timeout'),
+    ('path:=/absent.mat', 'plaza_player: no such recording: /absent.mat')])
+def test_what_cannot_be_played_is_one_line_and_status_2(argument: str, line: str) -> None:
+    process = player_process(argument)
+    output, errors = process.communicate(timeout=20.0)
+    assert (process.returncode, errors) == (2, line + '\n')

@@ -1,0 +1,368 @@
+"""What a user may set, and how everything else is refused."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+from pif_ros.config import build_tracker, Config, ConfigError, specifications
+from pif_ros.core.grid import Grid
+from pif_ros.filter_node import FilterNode
+import pytest
+from ros import Graph, ROOT
+import yaml
+
+FILES = sorted((ROOT / 'config').glob('*.yaml'))
+NAN, INF = float('nan'), float('inf')
+
+SMALL = {'grid.shape': [12, 12], 'kernel.time_step': 0.1}
+PLANE = {'model.name': 'position_2d', 'measurements.main.sensor': 'position',
+         'measurements.main.params.sigma': 0.5, **SMALL}
+RANGE = {**PLANE, 'measurements.main.sensor': 'range',
+         'measurements.main.params.landmark': [1.0, 2.0]}
+LINE = {'model.name': 'wiener', 'grid.lower': [-3.0], 'grid.upper': [3.0], 'grid.shape': [30],
+        'prior.mean': [0.0], 'prior.covariance_diagonal': [1.0]}
+TWO = {'measurements.names': ['a', 'b'], 'measurements.a.topic': 'seen',
+       'measurements.b.topic': 'seen'}
+
+
+def wrong(parameter, value, *words, of=SMALL, got=None, says=None):
+    """Return a configuration that is wrong, the parameter to blame, and what its line must say."""
+    shown = repr(value) if got is None else got
+    return pytest.param({**of, parameter: value}, says or parameter, words, shown,
+                        id=f'{parameter}={value!r}'[:60])
+
+
+def lacks(parameter, of):
+    """Return a configuration that lacks something."""
+    return pytest.param({k: v for k, v in of.items() if k != parameter}, parameter, ('a value',),
+                        'none', id=f'{parameter} is missing')
+
+
+WRONG = [
+    # names that nobody knows
+    wrong('grid.lowr', [-1.0, -1.0], "'grid.lower'?"),
+    wrong('frameid', 'map', "'frame_id'?"),
+    wrong('filter.kind', 'df', "'filter.type'?"),
+    wrong('measurements.main.tpic', 'seen', "'measurements.main.topic'?"),
+    wrong('measurements.other.topic', 'seen', 'known parameter'),
+    wrong('kernel', 3, 'known parameter'),
+    wrong('model.params', 3, 'known parameter'),
+    wrong('model.params.sigma', 1.0, 'sigma_x, sigma_y'),
+    wrong('measurements.main.params.sgma', 0.5, 'sigma', of=PLANE),
+    wrong('model.name', 'coupled', 'coupled_trigonometric'),
+    wrong('model.name', 'os.path', 'coupled_trigonometric'),
+    wrong('model.name', '', 'a name'),
+    wrong('filter.type', 'kalman', 'df'),
+    wrong('prior.type', 'flat', 'gaussian', 'uniform'),
+    wrong('pose.estimator', 'median', 'mean', 'mode'),
+    wrong('kernel.jacobian', 'exact', 'determinant', 'exponential'),
+    wrong('kernel.weights', 'all', 'auto', 'sampled', 'moments'),
+    wrong('measurements.main.sensor', 'sonar', 'position', 'range', 'bearing', of=PLANE),
+    # lengths
+    wrong('grid.lower', [-6.0], '2 values', 'x1, x2'),
+    wrong('grid.upper', [6.0, 6.0, 6.0], '2 values'),
+    wrong('grid.shape', [], '2 values'),
+    wrong('grid.shape', [12, 12], '1 values', of=LINE),
+    wrong('grid.periodic', [True], '2 values'),
+    wrong('prior.mean', [0.0], '2 values'),
+    wrong('prior.covariance_diagonal', [1.0, 1.0, 1.0], '2 values'),
+    wrong('measurements.names', [], 'at least one'),
+    # numbers that are none
+    wrong('grid.lower', [NAN, -6.0], 'finite'),
+    wrong('grid.upper', [6.0, INF], 'finite'),
+    wrong('prior.mean', [0.0, -INF], 'finite'),
+    wrong('kernel.time_step', NAN, 'number'),
+    wrong('kernel.r', INF, 'number'),
+    wrong('publish.rate', NAN, 'number'),
+    wrong('model.params.sigma_y', NAN, 'finite'),
+    wrong('model.params.sigma_y', INF, 'finite'),
+    wrong('measurements.main.params.landmark', [NAN, 0.0], 'finite', of=RANGE, got='(nan'),
+    # other types
+    wrong('kernel.time_step', 'fast', 'number'),
+    wrong('kernel.time_step', True, 'number'),
+    wrong('kernel.time_step', [0.1], 'number'),
+    wrong('grid.shape', [12.5, 12.0], 'whole numbers'),
+    wrong('grid.shape', 12, 'list'),
+    wrong('grid.shape', [True, True], 'whole numbers'),
+    wrong('grid.periodic', [1, 0], 'true or false'),
+    wrong('filter.average_cells', 1, 'true or false'),
+    wrong('frame_id', 7, 'name'),
+    wrong('frame_id', [], 'name'),
+    wrong('pose.axes', [1, 2], 'names'),
+    wrong('pose.axes', 'x1', 'list'),
+    wrong('measurements.names', 'main', 'list'),
+    wrong('model.params.sigma_x', True, 'number'),
+    wrong('model.params.sigma_x', 'one', 'number'),
+    wrong('measurements.main.params.landmark', 3.0, '2 finite numbers', of=RANGE),
+    wrong('measurements.main.params.landmark', [1.0, 2.0, 3.0], '2 finite numbers', of=RANGE,
+          got='(1.0, 2.0, 3.0)'),
+    wrong('measurements.main.fields', [0, 1], 'names'),
+    wrong('use_sim_time', 'yes', 'true or false'),
+    # out of bounds
+    wrong('grid.upper', [-7.0, 6.0], 'lower < upper', got='-6 and -7'),
+    wrong('grid.upper', [6.0, -6.0], 'lower < upper', got='-6 and -6'),
+    wrong('grid.shape', [1, 12], 'at least 2 cells', got='1'),
+    wrong('grid.shape', [0, 12], 'at least 2 cells', got='0'),
+    wrong('grid.shape', [-12, 12], 'at least 2 cells', got='-12'),
+    wrong('grid.shape', [60000, 60000], 'memory'),
+    wrong('grid.shape', [2**40, 2**40], 'memory'),
+    wrong('prior.mean', [0.0, 7.0], 'on the grid'),
+    wrong('prior.covariance_diagonal', [1.0, 0.0], 'positive'),
+    wrong('prior.covariance_diagonal', [-1.0, 1.0], 'positive'),
+    wrong('kernel.time_step', 0.0, 'positive'),
+    wrong('kernel.time_step', -0.1, 'positive'),
+    wrong('kernel.r', 1.5, '0 to 1'),
+    wrong('kernel.r', -0.5, '0 to 1'),
+    wrong('kernel.extent', -1, '0 or more'),
+    wrong('kernel.tolerance', 0.5, '0.1'),
+    wrong('model.params.sigma_x', 0.0, 'positive'),
+    wrong('model.params.sigma_y', -1.0, 'positive'),
+    wrong('model.params.sigma_y', 1e200, 'constants', got="{'sigma_y': 1e+200}",
+          says='model.params'),
+    wrong('measurements.main.params.sigma', 0.0, 'positive', of=PLANE),
+    wrong('measurements.queue_length', 0, '1 to'),
+    wrong('measurements.queue_length', -5, '1 to'),
+    wrong('measurements.queue_length', 2**40, '1000000'),
+    wrong('publish.rate', -1.0, '0, or'),
+    wrong('publish.rate', 1e-12, '0.001'),
+    wrong('publish.rate', 1e12, '1000'),
+    wrong('density.rate', -1.0, '0 or more'),
+    wrong('pose.unestimated_variance', -1.0, '0 or more'),
+    wrong('time.history', -1.0, 'from 0'),
+    wrong('time.history', 1e300, '1e9'),
+    wrong('time.max_ahead', -1.0, 'from 0'),
+    wrong('time.max_ahead', 1e300, '1e9'),
+    wrong('time.max_forecast', -0.1, 'from 0'),
+    wrong('time.history_memory', 0.0, 'positive'),
+    # what is missing
+    lacks('measurements.main.params.sigma', of=PLANE),
+    lacks('measurements.main.params.landmark', of=RANGE),
+    # states and sources
+    wrong('pose.axes', ['x1', 'z'], 'x1, x2', got="'z'"),
+    wrong('pose.axes', ['x1', 'x1'], 'once'),
+    wrong('pose.axes', ['x1', 'x2', '', '', '', '', ''], 'at most 6'),
+    wrong('density.axes', ['speed'], 'x1, x2', got="'speed'"),
+    wrong('density.axes', ['x2', 'x2'], 'once'),
+    wrong('density.axes', ['x1', ''], 'names of states', got="''"),
+    wrong('measurements.names', ['a', 'a'], 'once'),
+    wrong('measurements.names', ['a b'], 'letters', got="'a b'"),
+    wrong('measurements.names', ['names'], 'none of', got="'names'"),
+    wrong('measurements.main.topic', '', 'name'),
+    wrong('measurements.main.topic', 'bad topic', 'topic'),
+    wrong('measurements.main.topic', 'a//b', 'topic'),
+    wrong('measurements.main.topic', 'initialpose', 'PoseWithCovarianceStamped'),
+    wrong('measurements.b.type', 'std_msgs/msg/Int32MultiArray', 'Float64MultiArray',
+          of={**SMALL, **TWO}, says='measurements.b.topic', got="'seen'"),
+    wrong('measurements.main.type', 'os/msg/Path', 'installed'),
+    wrong('measurements.main.type', 'std_msgs/msg/Float65', 'std_msgs'),
+    wrong('measurements.main.type', 'std_msgs/Float64', 'sensor_msgs/msg/Range'),
+    wrong('measurements.main.type', 'std_msgs/srv/Float64', 'message type'),
+    wrong('measurements.main.type', 'std_msgs/msg/String', 'number', got="'data' (string)",
+          says='measurements.main.fields'),
+    wrong('measurements.main.fields', ['dta'], 'layout, data', got="'dta'"),
+    wrong('measurements.main.fields', ['layout'], 'number', got="'layout'"),
+]
+
+
+@pytest.fixture(scope='module')
+def shared(tmp_path_factory):
+    """Return one graph for all configurations that make no node."""
+    graph = Graph(tmp_path_factory.mktemp('graph'))
+    yield graph
+    graph.close()
+
+
+@pytest.mark.parametrize(('given', 'parameter', 'wanted', 'got'), WRONG)
+def test_a_wrong_configuration_is_refused_in_one_line_with_parameter_wish_and_value(
+        shared, given, parameter, wanted, got):
+    with pytest.raises(ConfigError) as refused:
+        shared.filter_node(given)
+    line = str(refused.value)
+    assert '\n' not in line
+    blamed, _, rest = line.partition(': expected ')
+    assert blamed == parameter
+    assert rest.partition(', got ')[2].startswith(got)
+    for word in wanted:
+        assert word in rest.replace(got, '', 1)
+
+
+def test_there_are_many_wrong_configurations_and_each_is_another():
+    assert len({str(case.values[0]) for case in WRONG}) == len(WRONG) >= 40
+
+
+@pytest.mark.parametrize('base', [SMALL, PLANE, RANGE, LINE], ids=['small', 'plane', 'range',
+                                                                  'line'])
+def test_what_the_wrong_configurations_were_made_from_is_right(shared, base):
+    assert isinstance(shared.filter_node(base), FilterNode)
+
+
+def test_a_grid_too_large_for_the_memory_is_refused_before_it_is_made():
+    config = Config.from_parameters({'grid.shape': [46000, 46000]})
+    with pytest.raises(ConfigError, match='^grid.shape: .* memory'):
+        build_tracker(config)
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda path: path.stem)
+def test_every_file_of_the_package_makes_a_filter(path):
+    tracker = build_tracker(Config.from_yaml(path))
+    names = yaml.safe_load(path.read_text())['/**']['ros__parameters']['measurements']['names']
+    assert list(tracker.filter.sensors) == names
+    belief = tracker.estimate().belief
+    assert belief.mass == pytest.approx(1.0, abs=1e-9)
+    assert np.all(belief.density >= 0)
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda path: path.stem)
+def test_every_file_of_the_package_says_the_same_to_the_node(graph, path):
+    node = graph.add(FilterNode(context=graph.context, use_global_arguments=False,
+                                cli_args=['--ros-args', '--params-file', str(path)]))
+    assert node.config == Config.from_yaml(path)
+
+
+def test_every_parameter_stands_in_a_file_of_the_package():
+    told = set()
+    for path in FILES:
+        parameters = flat(yaml.safe_load(path.read_text())['/**']['ros__parameters'])
+        sources = parameters['measurements.names']
+        told |= {'.'.join('NAME' if part in sources else part for part in name.split('.'))
+                 for name in parameters}
+    assert set(specifications(('NAME',))) <= told
+
+
+def flat(tree, prefix=''):
+    """Return the leaves of a YAML tree by their dotted names."""
+    leaves = {}
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            leaves.update(flat(value, f'{prefix}{key}.'))
+        else:
+            leaves[f'{prefix}{key}'] = value
+    return leaves
+
+
+# A whole number for each parameter that is a real one.
+INTEGERS = {
+    'grid.lower': [-6, -6], 'grid.upper': [6, 6], 'prior.mean': [0, 1],
+    'prior.covariance_diagonal': [10, 9], 'kernel.time_step': 1, 'kernel.r': 1,
+    'pose.unestimated_variance': 2, 'publish.rate': 10, 'density.rate': 2, 'time.history': 3,
+    'time.history_memory': 100, 'time.max_ahead': 2, 'time.max_forecast': 30,
+    'model.params.sigma_x': 1, 'model.params.sigma_y': 2}
+
+
+def test_integers_are_welcome_where_reals_are_meant(graph):
+    node = graph.filter_node({**INTEGERS, 'grid.shape': [12, 12]})
+    reals = {name: [float(v) for v in value] if isinstance(value, list) else float(value)
+             for name, value in INTEGERS.items()}
+    expected = build_tracker(Config.from_parameters({**reals, 'grid.shape': [12.0, 12.0]}))
+    assert node.tracker.filter.grid == expected.filter.grid
+    assert node.tracker.filter.kernel == expected.filter.kernel
+    assert node.tracker.prior.density.tobytes() == expected.prior.density.tobytes()
+    for name in INTEGERS.keys() - {'model.params.sigma_x', 'model.params.sigma_y'}:
+        value = node.config
+        for part in name.split('.'):
+            value = getattr(value, part)
+        assert value == (tuple(reals[name]) if isinstance(reals[name], list) else reals[name])
+        assert all(type(v) is float for v in (value if isinstance(value, tuple) else [value]))
+    assert node.tracker.filter.sensors['main'].noise(0.0).tolist() == [[4.0, 0.0], [0.0, 4.0]]
+
+
+def test_every_real_parameter_was_tried_with_an_integer():
+    reals = {name for name, spec in specifications().items()
+             if isinstance(spec.default, float)
+             or (isinstance(spec.default, tuple) and any(type(v) is float for v in spec.default))}
+    # a tolerance is at most 0.1, and no whole number is
+    assert reals - {'kernel.tolerance'} <= INTEGERS.keys()
+
+
+def test_a_configuration_of_nothing_is_the_first_example_of_the_papers():
+    # Sensors 2009, example 2: 62 x 62 cells on [-6, 6]^2, from N(0, 10 I), a step of 0.01
+    tracker = build_tracker(Config.from_parameters({}))
+    assert tracker.filter.grid == Grid((-6, -6), (6, 6), (62, 62))
+    assert tracker.filter.time_step_ns == 10_000_000
+    x = tracker.filter.grid.points
+    p = np.exp(-(x**2).sum(axis=0) / 20).reshape(62, 62)
+    np.testing.assert_allclose(tracker.prior.density, p / p.sum() / (12 / 62)**2, rtol=1e-12)
+
+
+def test_a_source_without_a_sensors_name_gets_the_first_of_the_system():
+    tracker = build_tracker(Config.from_parameters(
+        {k: v for k, v in PLANE.items() if k != 'measurements.main.sensor'}))
+    assert tracker.filter.sensors['main'].size == 2
+
+
+# Systems of other packages
+
+SYSTEM = """
+from pif_ros.core.systems import System, double_well
+
+def steep(sigma=0.5, sigma_y=0.25):
+    return double_well(sigma, sigma_y)
+
+def nothing():
+    return None
+"""
+ENTRIES = """
+[pif_ros.systems]
+steep_well = systems_of_another:steep
+nothing = systems_of_another:nothing
+number = systems_of_another:NUMBER
+broken = systems_of_another_that_does_not_exist:steep
+wiener = systems_of_another:steep
+"""
+
+
+@pytest.fixture
+def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Install a distribution that brings systems of its own."""
+    (tmp_path / 'systems_of_another.py').write_text(SYSTEM + 'NUMBER = 3\n')
+    info = tmp_path / 'systems_of_another-1.0.dist-info'
+    info.mkdir()
+    (info / 'METADATA').write_text('Metadata-Version: 2.1\nName: systems-of-another\n'
+                                   'Version: 1.0\n')
+    (info / 'entry_points.txt').write_text(ENTRIES)
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+
+@pytest.mark.usefixtures('other_package')
+def test_a_system_of_an_installed_package_is_found_by_its_entry_point(graph):
+    node = graph.filter_node({**LINE, 'model.name': 'steep_well', 'model.params.sigma': 0.75})
+    model = node.tracker.filter.model
+    assert model.names == ('x',)
+    assert model.drift(np.array([[2.0]]), 0.0).tolist() == [[-24.0]]  # -4 x (x^2 - 1)
+    assert model.diffusion(0.0).tolist() == [[0.5625]]
+    assert node.tracker.filter.sensors['main'].noise(0.0).tolist() == [[0.0625]]
+
+
+@pytest.mark.usefixtures('other_package')
+@pytest.mark.parametrize(('name', 'words'), [
+    ('systems_of_another', ['steep_well', 'wiener']),
+    ('systems_of_another.steep', ['steep_well']),
+    ('systems_of_another:steep', ['steep_well']),
+    ('broken', ['loads', 'ModuleNotFoundError']),
+    ('nothing', ['System', 'None']),
+    ('number', ['System', '3'])])
+def test_what_is_no_entry_point_of_a_system_is_refused_in_one_line(shared, name, words):
+    with pytest.raises(ConfigError, match=rf"^model\.name: expected .*, got '{name}'.*$") as line:
+        shared.filter_node({**LINE, 'model.name': name})
+    assert all(word in str(line.value) for word in words)
+
+
+@pytest.mark.usefixtures('other_package')
+def test_a_package_cannot_take_the_name_of_a_system_of_this_one():
+    model = build_tracker(Config.from_parameters(LINE)).filter.model
+    assert model.drift(np.array([[2.0]]), 0.0).tolist() == [[0.0]]
+
+
+def test_no_module_is_imported_for_a_name_in_a_parameter(
+        shared, tmp_path, monkeypatch, other_package):
+    imported = SimpleNamespace(names=[])
+    (tmp_path / 'evil.py').write_text('raise SystemExit("imported")\n')
+    (tmp_path / 'evil').mkdir()
+    (tmp_path / 'evil' / '__init__.py').write_text('raise SystemExit("imported")\n')
+    monkeypatch.setattr('importlib.import_module',
+                        lambda name, package=None: imported.names.append(name))
+    for parameter, name in (('model.name', 'evil'), ('measurements.main.type', 'evil/msg/Evil'),
+                            ('measurements.main.sensor', 'evil')):
+        with pytest.raises(ConfigError, match=f'^{parameter}: '):
+            shared.filter_node({**SMALL, parameter: name})
+    assert imported.names == []

@@ -1,0 +1,127 @@
+"""From a message to a measurement, or to the reason why it is none."""
+
+from geometry_msgs.msg import PointStamped
+import numpy as np
+from pif_ros.config import ConfigError, SourceConfig
+from pif_ros.core.models import Sensor
+from pif_ros.core.tracker import Measurement
+from pif_ros.sources import Refused, Source
+import pytest
+from sensor_msgs.msg import JointState, LaserScan, Range
+from std_msgs.msg import Float64MultiArray, UInt8MultiArray
+
+NOW = 1_000_000_000_000
+BOTH = Sensor(lambda x, t: x[:2], np.eye(2))
+ONE = Sensor(lambda x, t: x[:1], np.eye(1))
+
+
+def source(kind, *fields, sensor=BOTH, max_ahead=1.0):
+    """Return a source of messages of a type."""
+    return Source('main', SourceConfig('seen', kind, fields), sensor, max_ahead)
+
+
+def joints(*position, stamp_ns=NOW):
+    """Return a message with a header and any number of values."""
+    message = JointState(position=position)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    return message
+
+
+JOINTS = source('sensor_msgs/msg/JointState', 'position')
+
+
+def reason(message, of=JOINTS, now=NOW):
+    """Return why a message is refused, and the sentence."""
+    with pytest.raises(Refused) as refused:
+        of.measurement(message, now)
+    return refused.value.reason, str(refused.value)
+
+
+def test_a_message_without_a_header_is_measured_at_its_arrival():
+    plain = source('std_msgs/msg/Float64MultiArray')
+    assert plain.measurement(Float64MultiArray(data=[1.5, -2.0]), NOW) == Measurement(
+        NOW, 'main', (1.5, -2.0))
+
+
+def test_a_message_with_a_header_is_measured_at_its_stamp():
+    stamp = NOW - 123_456_789
+    assert JOINTS.measurement(joints(0.25, 3.0, stamp_ns=stamp), NOW) == Measurement(
+        stamp, 'main', (0.25, 3.0))
+
+
+def test_a_stamp_with_more_than_a_second_of_nanoseconds_carries():
+    message = joints(0.0, 0.0)
+    message.header.stamp.sec, message.header.stamp.nanosec = 10, 2_500_000_000
+    assert JOINTS.measurement(message, NOW).stamp_ns == 12_500_000_000
+
+
+def test_a_measurement_is_made_of_several_fields_in_the_order_given():
+    message = PointStamped()
+    message.header.stamp.sec = 7
+    message.point.x, message.point.y, message.point.z = 1.0, 2.0, 3.0
+    flipped = source('geometry_msgs/msg/PointStamped', 'point.z', 'point.x')
+    assert flipped.measurement(message, NOW).values == (3.0, 1.0)
+
+
+def test_a_single_precision_value_is_measured_as_it_is():
+    message = Range(range=0.1)
+    message.header.stamp.sec = 7
+    seen = source('sensor_msgs/msg/Range', 'range', sensor=ONE).measurement(message, NOW)
+    assert seen.values == (float(np.float32(0.1)),)
+
+
+def test_bytes_are_numbers():
+    octets = source('std_msgs/msg/UInt8MultiArray')
+    assert octets.measurement(UInt8MultiArray(data=[3, 255]), NOW).values == (3.0, 255.0)
+
+
+@pytest.mark.parametrize('values', [(), (1.0,), (1.0, 2.0, 3.0)], ids=len)
+def test_a_wrong_length_is_refused(values):
+    why, sentence = reason(joints(*values))
+    assert why == 'wrong length'
+    assert sentence == f'expected 2 numbers, got {len(values)}'
+
+
+def test_an_array_that_is_too_short_for_its_field_is_refused():
+    scan = source('sensor_msgs/msg/LaserScan', 'ranges[0]', 'ranges[3]')
+    message = LaserScan(ranges=[1.0, 2.0, 3.0])
+    message.header.stamp.sec = 7
+    why, sentence = reason(message, scan)
+    assert why == 'wrong length' and 'too short' in sentence
+    message.ranges.append(4.0)
+    assert scan.measurement(message, NOW).values == (1.0, 4.0)
+
+
+@pytest.mark.parametrize('value', [float('nan'), float('inf'), -float('inf')])
+def test_a_value_that_is_not_finite_is_refused_and_shown(value):
+    why, sentence = reason(joints(1.0, value))
+    assert why == 'not finite'
+    assert sentence == f'expected finite numbers, got [1.0, {value!r}]'
+
+
+@pytest.mark.parametrize('stamp_ns', [0, -1, -5_000_000_000])
+def test_a_stamp_that_is_none_is_refused(stamp_ns):
+    assert reason(joints(1.0, 2.0, stamp_ns=stamp_ns))[0] == 'no stamp'
+
+
+def test_a_stamp_may_be_ahead_of_the_clock_by_so_much_and_no_more():
+    ahead = source('sensor_msgs/msg/JointState', 'position', max_ahead=0.25)
+    assert ahead.measurement(joints(1.0, 2.0, stamp_ns=NOW + 250_000_000), NOW)
+    why, sentence = reason(joints(1.0, 2.0, stamp_ns=NOW + 250_000_001), ahead)
+    assert why == 'from the future' and 'time.max_ahead' in sentence
+
+
+def test_before_there_is_a_clock_everything_is_refused():
+    assert reason(joints(1.0, 2.0), now=None)[0] == 'no clock'
+
+
+def test_a_type_that_is_not_installed_is_blamed_on_the_type():
+    with pytest.raises(ConfigError, match=r'^measurements\.main\.type: expected .* got '
+                                          r"'no_such_msgs/msg/Thing'$"):
+        source('no_such_msgs/msg/Thing')
+
+
+def test_fields_that_a_type_has_not_are_blamed_on_the_fields():
+    with pytest.raises(ConfigError, match=r'^measurements\.main\.fields: expected .*position.*, '
+                                          r"got 'positon'$"):
+        source('sensor_msgs/msg/JointState', 'positon')
