@@ -80,7 +80,7 @@ def field_reader(message: Any, paths: Sequence[str]) -> Callable[[Any], tuple[fl
             for step in path:
                 found = found[step] if isinstance(step, int) else getattr(found, step)
             if hasattr(found, '__len__'):
-                values.extend(map(float, found))
+                values.extend(float(v[0] if isinstance(v, bytes) else v) for v in found)
             else:
                 values.append(float(found))
         return tuple(values)

@@ -87,6 +87,9 @@ class FilterNode(Node):
         except Refused as refused:
             self._reject(source.name, refused.reason, str(refused))
             return
+        except Exception:
+            account.rejected['fault'] += 1
+            raise
         if len(self._queue) >= self.config.measurements.queue_length:
             oldest = self._queue.popleft().source
             self.accounts.sources[oldest].dropped += 1

@@ -51,15 +51,15 @@ def explain(error: Exception, arguments: Sequence[str]) -> str:
     """Return in one line why ROS did not take its arguments, naming the parameter if it can."""
     for path in params_files(arguments):
         try:
-            tree = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+            tree = yaml.safe_load(Path(path).read_bytes())
         except OSError as fault:
             return f'{path}: expected a readable file, got {fault.strerror}'
-        except (yaml.YAMLError, UnicodeError) as fault:
-            return f'{path}: expected YAML, got {fault}'
+        except (yaml.YAMLError, ValueError) as fault:
+            return f'{path}: expected YAML, got {" ".join(str(fault).split())}'
         wrong = _wrong_list(tree)
         if wrong is not None:
             return wrong
-    text = re.sub(r', at \./src\S+', '', str(error)).splitlines()[0]
+    text = re.sub(r',? at \S*/src/\S+', '', str(error)).splitlines()[0]
     if "'bool'" in text:
         text += " (y, n, on and off are true and false unless in quotes: 'y')"
     return text.replace('failed to initialize rcl: ', '')
@@ -69,7 +69,7 @@ def strangers(arguments: Sequence[str], name: str) -> str | None:
     """Return in one line that no parameter file has parameters for a node of this name."""
     found = set()
     for path in params_files(arguments):
-        tree = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+        tree = yaml.load(Path(path).read_bytes(), Loader=yaml.BaseLoader)
         found |= set(tree) if isinstance(tree, dict) else set()
     if not found or any('*' in str(key) for key in found):
         return None

@@ -46,8 +46,16 @@ def stamp_into(stamp: Any, stamp_ns: int) -> None:
 def write_parameters(path: Path, parameters: Mapping[str, Any], node: str = '/**') -> Path:
     """Write a parameter file as users do, and return its path."""
     tree = {node: {'ros__parameters': dict(parameters)}}
-    path.write_text(yaml.safe_dump(tree), encoding='utf-8')
+    path.write_text(yaml.dump(tree, Dumper=_Quoting), encoding='utf-8')
     return path
+
+
+class _Quoting(yaml.SafeDumper):
+    """Puts all text into quotes, since ROS takes a plain y for true."""
+
+
+_Quoting.add_representer(str, lambda dumper, text: dumper.represent_scalar(
+    'tag:yaml.org,2002:str', text, style="'"))
 
 
 class Graph:
@@ -118,7 +126,6 @@ class Rig:
         self.poses: list[PoseWithCovarianceStamped] = []
         self.lines: list[str] = []
         self._senders: dict[str, Any] = {}
-        self._log: list[Log] = []
         self.peer.create_subscription(Log, '/rosout', self._on_log, _LATCHED)
         self.hear(PoseWithCovarianceStamped, f'{name}/pose', self.poses)
 

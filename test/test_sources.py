@@ -7,6 +7,7 @@ from pif_ros.core.models import Sensor
 from pif_ros.core.tracker import Measurement
 from pif_ros.sources import Refused, Source
 import pytest
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState, LaserScan, Range
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
@@ -66,7 +67,8 @@ def test_a_measurement_is_made_of_several_fields_in_the_order_given():
 def test_a_single_precision_value_is_measured_as_it_is():
     message = Range(range=0.1)
     message.header.stamp.sec = 7
-    seen = source('sensor_msgs/msg/Range', 'range', sensor=ONE).measurement(message, NOW)
+    heard = deserialize_message(serialize_message(message), Range)
+    seen = source('sensor_msgs/msg/Range', 'range', sensor=ONE).measurement(heard, NOW)
     assert seen.values == (float(np.float32(0.1)),)
 
 

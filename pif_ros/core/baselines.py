@@ -49,7 +49,9 @@ class ExtendedKalmanFilter:
         object.__setattr__(self, 'time_step_ns', max(round(self.time_step * NANOSECONDS), 1))
 
     def predict(self, belief: GaussianBelief, from_ns: int, to_ns: int) -> GaussianBelief:
-        """Return mean and covariance carried from one stamp to a later one."""
+        """Return mean and covariance carried to a later stamp; ValueError for an earlier one."""
+        if to_ns < from_ns:
+            raise ValueError(f'to_ns: expected a stamp from {from_ns} on, got {to_ns}')
         m, P, t = belief.location, belief.spread, from_ns
         while t < to_ns:
             step = min(self.time_step_ns, to_ns - t)

@@ -8,7 +8,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
 
 from pif_ros.core.grid import Grid
 
@@ -139,7 +140,7 @@ def check_covariance(name: str, covariance: Array, size: int) -> None:
                          f'got {" x ".join(map(str, covariance.shape))}')
     if not np.all(np.isfinite(covariance)):
         raise ValueError(f'{name}: expected finite numbers, got {covariance.tolist()}')
-    if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=0.0):
+    if np.abs(covariance - covariance.T).max() > 1e-6 * np.abs(covariance).max():
         raise ValueError(f'{name}: expected a symmetric matrix, got {covariance.tolist()}')
     if np.linalg.eigvalsh(covariance)[0] <= 0:
         raise ValueError(f'{name}: expected a positive definite matrix, got {covariance.tolist()}')
@@ -148,12 +149,16 @@ def check_covariance(name: str, covariance: Array, size: int) -> None:
 def _connected(region: NDArray[np.bool_],
                periodic: Sequence[bool]) -> tuple[NDArray[np.int_], int]:
     """Label the connected parts of a region, across periodic edges too: labels 1 to count."""
-    labels, count = ndimage.label(region, np.ones((3,) * region.ndim))
-    root = np.arange(count + 1)
-    for axis in np.flatnonzero(periodic):
-        first, last = labels.take(0, axis), labels.take(-1, axis)
-        touching = (first > 0) & (last > 0)
-        for a, b in zip(first[touching], last[touching]):
-            root[root == root[a]] = root[b]
-    kept, number = np.unique(root[1:], return_inverse=True)
-    return np.concatenate([[0], number + 1])[labels], len(kept)
+    labels, _ = ndimage.label(region, np.ones((3,) * region.ndim))
+    # round every periodic edge the region goes on: a copy of a cell is the cell
+    around = [(int(round_), int(round_)) for round_ in periodic]
+    copies = np.pad(labels, around, mode='wrap')
+    joined, _ = ndimage.label(copies > 0, np.ones((3,) * region.ndim))
+    pairs = np.unique(np.stack([joined[copies > 0], copies[copies > 0] + joined.max()]), axis=1)
+    links = sparse.coo_array((np.ones(pairs.shape[1]), tuple(pairs)),
+                             shape=(pairs.max(initial=0) + 1,) * 2)
+    _, part = csgraph.connected_components(links, directed=False)
+    found, number = np.unique(part[labels[region] + joined.max()], return_inverse=True)
+    numbers = np.zeros(region.shape, dtype=int)
+    numbers[region] = number + 1
+    return numbers, len(found)

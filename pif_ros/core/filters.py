@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 Belief = TypeVar('Belief')
 
 NANOSECONDS = 1_000_000_000
-#: No cell of a posterior is emptier: a subnormal number costs as much as a hundred others.
-FLOOR = 1e-250
+#: A density below this is none: a subnormal number costs as much as a hundred others.
+NEGLIGIBLE = 1e-290
 #: An evidence below this share of the largest likelihood may have lost digits to underflow.
 UNSAFE = 1e-200
 
@@ -69,7 +69,10 @@ class DiracFeynmanFilter:
     time_step_ns: int = field(init=False)
 
     def __post_init__(self) -> None:
-        """Hold the step in whole nanoseconds, as all of time is."""
+        """Hold the step in whole nanoseconds, and refuse a grid that does not fit the model."""
+        if self.grid.ndim != self.model.ndim:
+            raise ValueError(f'grid: expected {self.model.ndim} axes, one for each state, '
+                             f'got {self.grid.ndim}')
         step = max(round(self.kernel.time_step * NANOSECONDS), 1)
         object.__setattr__(self, 'time_step_ns', step)
 
@@ -105,21 +108,22 @@ class DiracFeynmanFilter:
         the measurement at all, the belief stays as it is and the evidence is -inf.
         """
         p = belief.density.ravel()
-        log_l = self._likelihoods[sensor].log(np.asarray(y, dtype=float), p,
-                                              at_ns / NANOSECONDS)
+        with np.errstate(over='ignore', invalid='ignore'):
+            log_l = self._likelihoods[sensor].log(np.asarray(y, dtype=float), p,
+                                                  at_ns / NANOSECONDS)
         peak = log_l.max()
         posterior = _posterior(p, log_l, peak)
         evidence = posterior.sum()
         if not evidence > UNSAFE:
-            # an outlier, or cells without a likelihood: the largest factor among living cells
-            log_l = np.where((p > 0) & ~np.isnan(log_l), log_l, -np.inf)
-            peak = log_l.max()
+            # an outlier, or cells without a likelihood: with logs of the prior too
+            log_l, peak = _log_joint(p, log_l)
             if not np.isfinite(peak):
                 return belief, -np.inf
-            posterior = _posterior(p, log_l, peak)
+            posterior = np.exp(log_l - peak)
             evidence = posterior.sum()
         posterior /= evidence * self.grid.cell_volume
-        posterior += FLOOR
+        posterior -= NEGLIGIBLE
+        np.maximum(posterior, 0.0, out=posterior)
         return (GridBelief(self.grid, posterior.reshape(self.grid.shape)),
                 float(peak + np.log(evidence * self.grid.cell_volume)))
 
@@ -141,7 +145,7 @@ class DiracFeynmanFilter:
     @cached_property
     def _kernels(self) -> Callable[[int], sparse.csr_array]:
         # a model that changes with time comes back to the same stamps when it replays
-        return lru_cache(maxsize=64)(lambda t_ns: dirac_feynman(
+        return lru_cache(maxsize=16)(lambda t_ns: dirac_feynman(
             self.model, self.grid, self.kernel, t_ns / NANOSECONDS))
 
     @cached_property
@@ -156,3 +160,10 @@ def _posterior(p: Array, log_l: Array, peak: float) -> Array:
     np.exp(factor, out=factor)
     factor *= p
     return factor
+
+
+def _log_joint(p: Array, log_l: Array) -> tuple[Array, float]:
+    """Return log p(y | x) p(x), -inf where either is not, and its maximum."""
+    with np.errstate(divide='ignore'):
+        log_joint = np.where(np.isnan(log_l), -np.inf, log_l) + np.log(p)
+    return log_joint, float(log_joint.max())

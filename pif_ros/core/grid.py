@@ -31,6 +31,8 @@ class Grid:
         put = object.__setattr__
         put(self, 'lower', tuple(float(v) for v in self.lower))
         put(self, 'upper', tuple(float(v) for v in self.upper))
+        if any(v != int(v) for v in self.shape):
+            raise ValueError(f'shape: expected whole numbers of cells, got {list(self.shape)}')
         put(self, 'shape', tuple(int(v) for v in self.shape))
         put(self, 'periodic', tuple(bool(v) for v in self.periodic) or (False,) * n)
         if not 1 <= n <= 4:

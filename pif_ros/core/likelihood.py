@@ -13,11 +13,17 @@ from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
+#: Cells up to this many standard deviations wide sum a likelihood well at their centres: a
+#: Gaussian sampled every 2 of them sums to 1.4 % of its mass, every 1.5 of them to 0.03 %.
+RESOLVED = 2.0
 #: Points per axis at most, by dimension, over which a cell's likelihood is averaged.
 FINEST = {1: 32, 2: 8, 3: 4, 4: 3}
 #: A cell with less than this share of the densest one is not worth averaging over.
 SIGNIFICANT = 1e-9
+#: Points that are averaged over at a time.
+CHUNK = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +31,9 @@ class GridLikelihood:
     """
     A sensor's likelihood on a grid.
 
-    A cell over which the expected measurement changes by more than its standard deviation
-    (dx > sigma_y / |h'|) does not resolve the likelihood at its centre; with average_cells, and
-    where the belief has mass, the likelihood is averaged over such a cell.
+    Where the expected measurement changes by more than two of its standard deviations from edge
+    to edge of a cell, the cell's centre does not stand for it; with average_cells, and where the
+    belief has mass, the likelihood is averaged over such a cell.
     """
 
     grid: Grid
@@ -41,70 +47,132 @@ class GridLikelihood:
         Where the sensor's function is undefined it is NaN.
         """
         log_l = self._at_centres(y, t)
-        if self.average_cells and len(self._coarse):
-            there = density[self._coarse]
-            cells = self._coarse[there > SIGNIFICANT * density.max()]
-            if len(cells):
-                log_l[cells] = self._averaged(y, cells, t)
+        if self.average_cells:
+            width, coarse = self._widths(t)
+            if len(coarse):
+                cells = coarse[density[coarse] > SIGNIFICANT * density.max()]
+                if len(cells):
+                    log_l[cells] = self._averaged(y, cells, width, t)
         return log_l
 
     def remarks(self, name: str) -> list[str]:
         """Return a sentence where some cells are wider than the likelihood."""
-        share, widest = len(self._coarse) / self.grid.size, float(self._width.max())
-        if not share:
+        width, coarse = self._widths(0.0)
+        if not len(coarse):
             return []
         cure = ('its likelihood is averaged over such cells where the belief is'
                 if self.average_cells else 'filter.average_cells is off, so variances are wrong')
-        return [f'grid.shape: {share:.0%} of the cells are wider than sensor {name!r} resolves, '
-                f'up to {widest:.1f} of its standard deviations; {cure}']
+        return [f'grid.shape: {len(coarse) / self.grid.size:.0%} of the cells are wider than '
+                f'sensor {name!r} resolves, up to {float(width.max()):.1f} of its standard '
+                f'deviations; {cure}']
 
     def _at_centres(self, y: Array, t: float) -> Array:
         sensor = self.sensor
         if sensor.time_dependent or callable(sensor.covariance) or any(sensor.angular):
             return sensor.log_likelihood(y, sensor.function(self.grid.points, t), t)
-        v = self._whitened - (self._whiten @ y)[:, None]
-        log_l = np.einsum('ij,ij->j', v, v)
-        log_l *= -0.5
-        log_l += self._constant
+        # -|v - u|^2 / 2 = v u - |v|^2 / 2 - |u|^2 / 2, of which only the first needs both
+        origin, v, square = self._whitened
+        u = self._whiten @ y - origin
+        log_l: Array = u @ v
+        log_l += square
+        log_l += _log_constant(self._whiten) - 0.5 * float(u @ u)
         return log_l
 
     @cached_property
     def _whiten(self) -> Array:
-        return np.linalg.inv(np.linalg.cholesky(self.sensor.noise(0.0)))
+        return _whitening(self.sensor, 0.0)
 
     @cached_property
-    def _whitened(self) -> Array:
-        return np.ascontiguousarray(self._whiten @ self.sensor.function(self.grid.points, 0.0))
+    def _whitened(self) -> tuple[Array, Array, Array]:
+        """Return an origin (m,), the whitened h from there (m, size), and -|.|^2 / 2 of it."""
+        v = self._whiten @ self.sensor.function(self.grid.points, 0.0)
+        # an origin on the grid, so that large coordinates cost no digits
+        origin = np.nan_to_num(v[:, self.grid.size // 2], posinf=0.0, neginf=0.0)
+        v = np.ascontiguousarray(v - origin[:, None])
+        return origin, v, -0.5 * np.einsum('ij,ij->j', v, v)
+
+    def _widths(self, t: float) -> tuple[Array, Indices]:
+        """Return each cell's width in standard deviations (size,), and which are too wide."""
+        if self.sensor.time_dependent or callable(self.sensor.covariance):
+            return self._measured_widths(t)
+        return self._constant_widths
 
     @cached_property
-    def _constant(self) -> float:
-        return float(np.log(np.diag(self._whiten)).sum()
-                     - 0.5 * self.sensor.size * np.log(2 * np.pi))
+    def _constant_widths(self) -> tuple[Array, Indices]:
+        return self._measured_widths(0.0)
 
-    @cached_property
-    def _width(self) -> Array:
-        """Return each cell's width in standard deviations of the measurement, (size,)."""
+    def _measured_widths(self, t: float) -> tuple[Array, Indices]:
         sensor, x = self.sensor, self.grid.points
+        whiten, centre = _whitening(sensor, t), sensor.function(x, t)
         width = np.zeros(self.grid.size)
-        for d, half in enumerate(np.diag(self.grid.spacing / 2)):
-            low, high = (sensor.function(x + side * half[:, None], 0.0) for side in (-1, 1))
-            change = self._whiten @ sensor.difference(high, low)
-            np.maximum(width, np.linalg.norm(change, axis=0), out=width)
-        return np.nan_to_num(width, nan=0.0, posinf=0.0)
+        for half in np.diag(self.grid.spacing / 2):
+            # edge to centre to edge, since a sensor may turn back within a cell
+            across = sum(np.linalg.norm(whiten @ sensor.difference(
+                sensor.function(x + side * half[:, None], t), centre), axis=0)
+                for side in (-1, 1))
+            np.maximum(width, across, out=width)
+        width = np.nan_to_num(width, nan=0.0, posinf=0.0)
+        return width, np.flatnonzero(width > RESOLVED)
 
-    @cached_property
-    def _coarse(self) -> NDArray[np.intp]:
-        return np.flatnonzero(self._width > 1.0)
-
-    def _averaged(self, y: Array, cells: NDArray[np.intp], t: float) -> Array:
+    def _averaged(self, y: Array, cells: Indices, width: Array, t: float) -> Array:
         """Return the log of the likelihood's average over some cells."""
-        n = self.grid.ndim
-        count = min(math.ceil(self._width[cells].max()) + 1, FINEST[n])
+        count = min(math.ceil(width[cells].max()) + 1, FINEST[self.grid.ndim])
+        at_once = max(1, CHUNK // count**self.grid.ndim)
+        return np.concatenate([self._averaged_together(y, cells[k:k + at_once], count, t)
+                               for k in range(0, len(cells), at_once)])
+
+    def _averaged_together(self, y: Array, cells: Indices, count: int, t: float) -> Array:
+        n, sensor = self.grid.ndim, self.sensor
         steps = (np.arange(count) + 0.5) / count - 0.5
         inner = np.stack(np.meshgrid(*[steps] * n, indexing='ij')).reshape(n, 1, -1)
         x = self.grid.points[:, cells, None] + inner * self.grid.spacing[:, None, None]
-        log_l = self.sensor.log_likelihood(y, self.sensor.function(x, t), t)
-        peak = np.nan_to_num(log_l.max(axis=1, keepdims=True), nan=-np.inf)
+        whiten, h = _whitening(sensor, t), sensor.function(x, t)
+        v = np.tensordot(whiten, sensor.residual(y, h), axes=1)
+        lattice = h.reshape(len(h), len(cells), *[count] * n)
+        log_l = _log_density(v, [
+            np.tensordot(whiten, _change(sensor, lattice, axis).reshape(h.shape), axes=1)
+            for axis in range(2, n + 2)])
+        log_l[np.isnan(log_l)] = -np.inf
+        peak = log_l.max(axis=1, keepdims=True)
         peak = np.where(np.isfinite(peak), peak, 0.0)
         with np.errstate(divide='ignore'):
-            return np.log(np.exp(log_l - peak).mean(axis=1)) + peak[:, 0]
+            average = np.log(np.exp(log_l - peak).mean(axis=1)) + peak[:, 0]
+        return average + _log_constant(whiten)
+
+
+def _log_density(v: Array, changes: list[Array]) -> Array:
+    """
+    Return log N(v; 0, S) + m log(2 pi) / 2 for whitened residuals v (m, ...).
+
+    changes: how much the expected measurement changes from point to point along each axis,
+    whitened, (m, ...).  S = 1, widened along a change of more than 2 to half of it, so that what
+    lies between the points is seen.
+    """
+    excess = []
+    for change in changes:
+        square = np.einsum('i...,i...->...', change, change)
+        share = np.where(square > 4, 0.25 - 1 / np.maximum(square, 4), 0.0)
+        excess.append(np.sqrt(share) * change)
+    if not any(part.any() for part in excess):
+        return -0.5 * np.einsum('i...,i...->...', v, v)
+    m = len(v)
+    S = np.eye(m) + sum(np.einsum('i...,j...->...ij', part, part) for part in excess)
+    solved = np.linalg.solve(S, np.moveaxis(v, 0, -1)[..., None])[..., 0]
+    return -0.5 * (np.einsum('i...,...i->...', v, solved) + np.linalg.slogdet(S)[1])
+
+
+def _change(sensor: Sensor, h: Array, axis: int) -> Array:
+    """Return the change of h from point to point along an axis, the larger of the two sides."""
+    steps = sensor.difference(np.delete(h, 0, axis), np.delete(h, -1, axis))
+    left = np.concatenate([steps.take([0], axis), steps], axis)
+    right = np.concatenate([steps, steps.take([-1], axis)], axis)
+    return np.where(np.abs(left) > np.abs(right), left, right)
+
+
+def _whitening(sensor: Sensor, t: float) -> Array:
+    return np.linalg.inv(np.linalg.cholesky(sensor.noise(t)))
+
+
+def _log_constant(whiten: Array) -> float:
+    """Return the log of a Gaussian's peak, from the matrix that whitens it."""
+    return float(np.log(np.diag(whiten)).sum() - 0.5 * len(whiten) * np.log(2 * np.pi))

@@ -36,6 +36,19 @@ class StateModel:
     time_dependent: bool = False
     units: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Refuse a constant e or Q that does not fit the states, or is none."""
+        columns = None
+        if not callable(self.vielbein):
+            e = np.asarray(self.vielbein, dtype=float)
+            if e.ndim != 2 or len(e) != self.ndim or not np.all(np.isfinite(e)):
+                raise ValueError(f'vielbein: expected {self.ndim} rows of finite numbers, one for '
+                                 f'each state, got {e.tolist()}')
+            columns = e.shape[1]
+        if self.noise_covariance is not None and not callable(self.noise_covariance):
+            Q = np.asarray(self.noise_covariance, dtype=float)
+            check_covariance('noise_covariance', Q, len(Q) if columns is None else columns)
+
     @property
     def ndim(self) -> int:
         """Return the number of states."""
@@ -81,6 +94,9 @@ class Sensor:
             R = np.atleast_2d(np.asarray(self.covariance, dtype=float))
             check_covariance('covariance', R, len(R))
             object.__setattr__(self, 'covariance', R)
+            if self.angular and len(self.angular) != len(R):
+                raise ValueError(f'angular: expected {len(R)} values, one for each component, '
+                                 f'got {len(self.angular)}')
 
     @cached_property
     def size(self) -> int:
@@ -123,11 +139,16 @@ class Sensor:
 
 def central_differences(function: Callable[[Array], Array], x: Array,
                         minus: Callable[[Array, Array], Array] = np.subtract) -> Array:
-    """Return d function_i / dx_j, shape (m, n, ...), error of second order in 6e-6 |x|."""
+    """
+    Return d function_i / dx_j, shape (m, n, ...).
+
+    The step, cbrt(1e-16 |x|), is long against the rounding of x and short against whatever a
+    function does over a unit, also far from the origin.
+    """
     x = np.asarray(x, dtype=float)
     columns = []
     for j in range(len(x)):
-        step = np.cbrt(np.finfo(float).eps) * np.maximum(np.abs(x[j]), 1.0)
+        step = np.cbrt(np.finfo(float).eps * np.maximum(np.abs(x[j]), 1.0))
         up, down = x.copy(), x.copy()
         up[j] += step
         down[j] -= step

@@ -11,6 +11,7 @@ from __future__ import annotations
 import bisect
 from dataclasses import dataclass
 from enum import Enum
+import math
 from typing import Generic
 
 from pif_ros.core.filters import NANOSECONDS, Belief, Filter
@@ -59,6 +60,10 @@ class Tracker(Generic[Belief]):
 
     def __init__(self, filter_: Filter[Belief], prior: Belief, history: float = 1.0,
                  depth: int = 1000) -> None:
+        if not 0 <= history < math.inf:
+            raise ValueError(f'history: expected seconds, 0 or more, got {history}')
+        if depth < 1:
+            raise ValueError(f'depth: expected at least 1 belief, got {depth}')
         self.filter = filter_
         self.prior = prior
         self._history_ns = round(history * NANOSECONDS)
@@ -68,6 +73,7 @@ class Tracker(Generic[Belief]):
     def reset(self, belief: Belief | None = None, stamp_ns: int | None = None) -> None:
         """Forget all measurements, and start from a belief (the prior where none is given)."""
         self._anchor = Estimate(stamp_ns, self.prior if belief is None else belief)
+        self._anchored: Measurement | None = None
         self._timeline: list[Measurement] = []
         self._posteriors: list[Estimate[Belief]] = []
         self._rung: tuple[Estimate[Belief], int, Belief] | None = None
@@ -87,6 +93,8 @@ class Tracker(Generic[Belief]):
         stamp = measurement.stamp_ns
         if self._anchor.stamp_ns is not None and stamp < self._anchor.stamp_ns:
             return Rejection.TOO_LATE
+        if self._anchored is not None and measurement <= self._anchored:
+            return Rejection.TOO_LATE
         if self._timeline and stamp < self._timeline[-1].stamp_ns - self._history_ns:
             return Rejection.TOO_LATE
         place = bisect.bisect_left(self._timeline, measurement)
@@ -96,16 +104,24 @@ class Tracker(Generic[Belief]):
         del self._posteriors[place:]
         return None
 
-    def estimate(self) -> Estimate[Belief]:
-        """Return the belief after the newest measurement; the prior where there is none."""
-        for measurement in self._timeline[len(self._posteriors):]:
+    def estimate(self, at_most: int | None = None) -> Estimate[Belief]:
+        """
+        Return the belief after the newest measurement; the prior where there is none.
+
+        With at_most, so many corrections are made and the rest stays as backlog.
+        """
+        done = len(self._posteriors)
+        for measurement in self._timeline[done:None if at_most is None else done + at_most]:
             before = self._newest()
             predicted = self._carried(before, measurement.stamp_ns)
             belief, log_evidence = self.filter.correct(
                 predicted, measurement.values, measurement.source, measurement.stamp_ns)
+            # what no state allows is not believed, and says nothing of what is
+            weight = log_evidence if log_evidence > -math.inf else 0.0
             self._posteriors.append(Estimate(measurement.stamp_ns, belief, log_evidence,
-                                             before.total_log_evidence + log_evidence))
-        self._forget()
+                                             before.total_log_evidence + weight))
+        if not self.backlog:
+            self._forget()
         return self._newest()
 
     def log_evidence(self, measurement: Measurement) -> float | None:
@@ -151,5 +167,5 @@ class Tracker(Generic[Belief]):
         count = bisect.bisect_left(self._timeline, oldest, key=lambda m: m.stamp_ns)
         count = max(count, len(self._timeline) - self._depth)
         if count > 0:
-            self._anchor = self._posteriors[count - 1]
+            self._anchor, self._anchored = self._posteriors[count - 1], self._timeline[count - 1]
             del self._timeline[:count], self._posteriors[:count]

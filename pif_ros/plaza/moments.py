@@ -40,13 +40,12 @@ def telling_moments(recording: Recording, span: Span = Span()) -> list[Wanted]:
     on_time = np.flatnonzero(
         (recording.range_stamps_ns == arrivals) & (arrivals >= first) & (arrivals <= last))
     stamps, ids = recording.range_stamps_ns[on_time], recording.beacon_ids[on_time]
-    return [*_beginning(stamps.tolist(), ids.tolist()), *_way(first, last), *_silence(stamps, ids)]
+    return [*_beginning(stamps.tolist(), ids.tolist()), *_way(stamps, ids), *_silence(stamps, ids)]
 
 
 def _beginning(stamps: list[int], ids: list[int]) -> list[Wanted]:
     """Return when the first, the second and the third beacon were heard for the first time."""
-    titles = ['One range: a ring', 'A second radio: robot or ghost?',
-              'A third radio: the ghost dies']
+    titles = ['One range: a ring', 'Second radio: robot or ghost?', 'Third radio: the ghost dies']
     wanted, heard = [], []
     for stamp, beacon in zip(stamps, ids):
         if beacon not in heard and titles:
@@ -55,9 +54,10 @@ def _beginning(stamps: list[int], ids: list[int]) -> list[Wanted]:
     return wanted
 
 
-def _way(first: int, last: int) -> list[Wanted]:
-    stamp = first + (last - first) // 4
-    return [Wanted('On its way', stamp, stamp + 10 * 10**9)]
+def _way(stamps: np.ndarray, ids: np.ndarray) -> list[Wanted]:
+    """Return the range after a quarter of the ranges."""
+    i = len(stamps) // 4
+    return [Wanted('On its way', int(stamps[i]), int(stamps[i]), (int(ids[i]),))]
 
 
 def _silence(stamps: np.ndarray, ids: np.ndarray) -> list[Wanted]:

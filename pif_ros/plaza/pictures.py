@@ -64,9 +64,9 @@ def draw_moments(file: Path, recording: Recording, moments: Sequence[Moment]) ->
     """Write the densities side by side, three in a row, each with the truth and the pose."""
     rows = -(-len(moments) // 3)
     left, right, low, high = _extent(moments[0])
-    panel = 2.35 * (high - low) / (right - left)
+    panel = 2.43 * (high - low) / (right - left)
     with rc_context(_STYLE):
-        figure = Figure(figsize=(9.0, 0.85 + rows * (panel + 0.3)), layout='constrained')
+        figure = Figure(figsize=(9.0, 1.0 + rows * (panel + 0.33)), layout='constrained')
         axes = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
         for ax, moment in zip(axes.flat, moments):
             image = _draw_moment(ax, recording, moment)
@@ -268,7 +268,10 @@ def _every(stamps_ns: NDArray[np.int64], interval_ns: int) -> NDArray[np.intp]:
 
 
 def _round_steps(limits: tuple[float, float], step: int) -> NDArray[np.float64]:
-    return step * np.arange(np.ceil(limits[0] / step), np.floor(limits[1] / step) + 1)
+    """Return round numbers between the limits, none so near that it runs into the neighbours'."""
+    room = 0.08 * (limits[1] - limits[0])
+    return step * np.arange(np.ceil((limits[0] + room) / step),
+                            np.floor((limits[1] - room) / step) + 1)
 
 
 def _save(figure: Figure, file: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -33,5 +34,6 @@ def parameters_for(recording: Recording, out: Path) -> Path:
     grid['lower'], grid['shape'] = lower.tolist(), [int(n) for n in shape]
     grid['upper'] = (lower + shape * spacing).tolist()
     file = out / f'{recording.name.lower()}.yaml'
-    file.write_text(yaml.safe_dump(tree, sort_keys=False), encoding='utf-8')
+    # JSON is YAML in which every string is quoted: a bare y would be true
+    file.write_text(json.dumps(tree, indent=2) + '\n', encoding='utf-8')
     return file

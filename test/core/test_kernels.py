@@ -286,8 +286,8 @@ def references():
     return reference
 
 
-# Figures of an independent plain implementation at the papers' points: L1 of r = 0, of r = 1/2 with
-# the printed exponential and with the determinant, and in 2 and 4 steps.
+#: Figures of an independent plain implementation at the papers' points: L1 of r = 0, of r = 1/2
+#: with the printed exponential and with the determinant, and in 2 and 4 steps.
 DOUBLE_WELL = [(-0.75, .579, .067, .067, .018, .006), (-0.35, .341, .033, .034, .009, .002),
                (-0.05, .221, .023, .012, .010, .005), (0.30, .375, .031, .033, .008, .002),
                (0.70, .488, .062, .062, .017, .005)]
@@ -619,7 +619,7 @@ def test_a_drift_that_turns_many_times_within_the_noise_hardly_moves_anything(st
     variance = p @ (x - start - move)**2 * 0.004
     i = int(np.argmin(np.abs(grid.axes[0] - start)))
     _, mean, spread = column_moments(dirac_feynman(model, grid, KernelSettings(0.01)), grid)
-    # an Euler step is off by eps |f| <= 0.01, a twenty-fifth of a cell and a thirtieth of the noise
+    # an Euler step is off by eps |f| <= 0.01, a 25th of a cell and a 30th of the noise
     assert mean[0, i] == pytest.approx(move, abs=0.012)
     assert spread[0, 0, i] == pytest.approx(variance, rel=0.05)
 

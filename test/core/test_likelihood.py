@@ -45,8 +45,8 @@ def test_cells_that_resolve_the_sensor_take_the_density_at_their_centre():
     assert GridLikelihood(grid, sensor).remarks('s') == []
 
 
-@given(st.floats(-3, 3), st.floats(0.02, 0.9))
-def test_a_cell_wider_than_the_likelihood_takes_its_average(y, sigma):
+@given(st.floats(-3, 3), st.floats(0.02, 0.49))
+def test_a_cell_wider_than_two_standard_deviations_takes_the_average(y, sigma):
     # y = x + sigma w: the average over a cell is a difference of two distribution functions
     grid = Grid((-3.5,), (3.5,), (7,))
     sensor = Sensor(lambda x, t: x, [[sigma**2]])
@@ -56,6 +56,17 @@ def test_a_cell_wider_than_the_likelihood_takes_its_average(y, sigma):
     # points at most a deviation apart; they see the edge of the cell, where the density jumps to
     # nothing, to a few per cent of its height there, and the heights add up to 1
     np.testing.assert_allclose(np.exp(found), exact, atol=0.03)
+
+
+@given(st.floats(-1.5, 1.5), st.floats(0.51, 3))
+def test_at_the_centres_of_narrower_cells_a_likelihood_sums_to_its_integral(y, sigma):
+    grid = Grid((-20.5,), (20.5,), (41,))
+    sensor = Sensor(lambda x, t: x, [[sigma**2]])
+    found = GridLikelihood(grid, sensor).log(np.array([y]), flat(grid), 0.0)
+    np.testing.assert_allclose(found, stats.norm(grid.axes[0], sigma).logpdf(y), rtol=1e-9)
+    # Poisson's sum: off by 2 exp(-2 pi^2 sigma^2 / dx^2) at most, and the next harmonic
+    bound = 2 * np.exp(-2 * np.pi**2 * sigma**2) + 2 * np.exp(-8 * np.pi**2 * sigma**2)
+    assert np.exp(found).sum() == pytest.approx(1, abs=bound + 1e-9)
 
 
 @pytest.mark.parametrize('sigma', [0.1, 0.03, 0.01, 0.003, 0.001])
@@ -134,6 +145,15 @@ def test_cells_without_belief_are_not_worth_an_average():
     assert sum(asked) <= 32
     # the cell holds all of the likelihood but what lies more than 0.2 to the left of y
     assert found[50] == pytest.approx(np.log(stats.norm(0, 0.1).cdf(2 * 0.1)), abs=0.02)
+
+
+def test_cells_with_little_belief_are_still_worth_an_average():
+    grid = Grid((0,), (100,), (100,))
+    density = np.full(100, 1e-12)
+    density[50], density[60] = 1.0, 1e-6
+    found = GridLikelihood(grid, Sensor(lambda x, t: x, [[0.01]])).log(
+        np.array([60.2]), density, 0.0)
+    assert found[60] == pytest.approx(np.log(stats.norm(0, 0.1).cdf(2)), abs=0.02)
 
 
 def test_without_averages_every_cell_takes_its_centre_and_the_remark_says_what_follows():

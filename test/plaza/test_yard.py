@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+import re
 
 from pif_ros.config import build_tracker, Config
 from pif_ros.plaza.recording import Recording
@@ -28,3 +29,10 @@ def test_another_recording_gets_its_own_beacons_and_yard(
         assert config.measurements.sources[f'beacon_{beacon}'].params['landmark'] == list(place)
         assert grid.contains(place)
     assert grid.spacing == pytest.approx([0.5, 0.5])
+
+
+def test_no_string_is_left_unquoted_for_ros_to_take_for_a_truth_value(
+        tmp_path: Path, small: Recording) -> None:
+    """ROS reads YAML 1.1, in which a bare y is true; the states are called x and y."""
+    text = parameters_for(replace(small, name='Plaza2'), tmp_path).read_text()
+    assert re.search(r'"y"', text) and not re.search(r'(?<!")\by\b(?!")', text)

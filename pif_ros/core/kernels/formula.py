@@ -37,7 +37,8 @@ class KernelSettings:
     def __post_init__(self) -> None:
         """Refuse what makes no kernel."""
         for name, wanted, holds in (
-                ('time_step', 'a positive number of seconds', 0 < self.time_step < math.inf),
+                ('time_step', 'a nanosecond or more, in seconds',
+                 1e-9 <= self.time_step < math.inf),
                 ('r', 'a number from 0 to 1', 0 <= self.r <= 1),
                 ('jacobian', "'determinant' or 'exponential'",
                  self.jacobian in ('determinant', 'exponential')),
@@ -93,24 +94,43 @@ def action(dx: Sequence[Array] | Array, f: Array, g: Array, eps: float) -> Array
     return total
 
 
-def step_moments(model: StateModel, x: Array, settings: KernelSettings, t: float,
-                 iterations: int = 4) -> tuple[Array, Array]:
+@dataclass(frozen=True, eq=False)
+class StepMoments:
     """
-    Return the mean (n, N) and covariance (n, n, N) of the move in one step from states x (n, N).
+    The move in one step from each of N states: its mean (n, N) and covariance (n, n, N).
+
+    settled: where they are those of the settings' r; elsewhere they are those of r = 0.
+    """
+
+    mean: Array
+    covariance: Array
+    settled: NDArray[np.bool_]
+
+
+def step_moments(model: StateModel, x: Array, spacing: Array, settings: KernelSettings,
+                 t: float, iterations: int = 4) -> StepMoments:
+    """
+    Return the moments of one step from states x (n, N), on cells of a spacing (n,).
 
     The density peaks where J = 0, d = eps f(x + r d), and has there the covariance
-    A^-1 eps g A^-T, A = 1 - r eps df/dx.  Where the drift is too steep for that (A is nearly
-    singular, or Newton's iteration does not settle) the moments of r = 0 are returned.
+    A^-1 eps g A^-T, A = 1 - r eps df/dx.  Where that says nothing, since A is nearly singular,
+    Newton's iteration does not settle, or A changes much within a cell, the moments are an Euler
+    step's.  Raises ValueError for a drift that is not finite.
     """
     r, eps = settings.r, settings.time_step
     tau, n = t + r * eps, len(x)
     g = eps * model.diffusion(tau)
-    plain = eps * np.asarray(model.drift(x, tau), dtype=float)
+    euler = eps * np.asarray(model.drift(x, tau), dtype=float)
+    undefined = ~np.all(np.isfinite(euler), axis=0)
+    if undefined.any():
+        at = x[:, np.argmax(undefined)]
+        raise ValueError(f'drift: expected finite numbers in every cell, got '
+                         f'{(euler[:, np.argmax(undefined)] / eps).tolist()} at {at.tolist()}')
     spread = np.broadcast_to(g[..., None], (n, n, x.shape[1]))
     if r == 0:
-        return plain, spread
-    move, error, one = np.zeros_like(plain), plain, np.eye(n)[..., None]
-    A, settled = one, np.ones(x.shape[1], dtype=bool)
+        return StepMoments(euler, spread, np.ones(x.shape[1], dtype=bool))
+    move, error, one = np.zeros_like(euler), euler, np.eye(n)[..., None]
+    A, settled = one, ~_rough(model, x, spacing, r * eps, tau)
     for _ in range(iterations):
         A = one - r * eps * model.jacobian(x + r * move, tau)
         settled &= _determinant(A - one) > 0.3
@@ -118,10 +138,22 @@ def step_moments(model: StateModel, x: Array, settings: KernelSettings, t: float
         move = move + _solve(A, error)
         error = eps * np.asarray(model.drift(x + r * move, tau), dtype=float) - move
     settled &= np.all(np.abs(error) <= 1e-2 * np.sqrt(np.diag(g))[:, None]
-                      + 1e-6 * np.abs(plain), axis=0)
+                      + 1e-6 * np.abs(euler) + 1e-3 * spacing[:, None], axis=0)
     inverse = np.moveaxis(np.linalg.inv(np.moveaxis(A, -1, 0)), 0, -1)
     bent = np.einsum('ijk,jl,mlk->imk', inverse, g, inverse)
-    return np.where(settled, move, plain), np.where(settled, bent, spread)
+    return StepMoments(np.where(settled, move, euler), np.where(settled, bent, spread), settled)
+
+
+def _rough(model: StateModel, x: Array, spacing: Array, r_eps: float,
+           tau: float) -> NDArray[np.bool_]:
+    """Return where r eps df/dx changes so much within a cell that one value is an accident."""
+    D = model.jacobian(x, tau)
+    rough = np.zeros(x.shape[1], dtype=bool)
+    for part in (-1 / 2, -1 / 4, 1 / 4, 1 / 2):
+        for shift in np.diag(spacing * part):
+            change = model.jacobian(x + shift[:, None], tau) - D
+            rough |= ~(r_eps * np.sqrt(np.einsum('ij...,ij...->...', change, change)) < 0.3)
+    return rough
 
 
 def _determinant(D: Array) -> Array:

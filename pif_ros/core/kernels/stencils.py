@@ -12,13 +12,15 @@ from scipy.special import gammainccinv
 
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels.formula import (
-    action, Array, drift_terms, KernelSettings, step_moments)
+    action, Array, drift_terms, KernelSettings, step_moments, StepMoments)
 from pif_ros.core.models import StateModel
 
 Integers = NDArray[np.int64]
 
 #: Thinner than this, in cells per step, a Gaussian sampled at the nodes has a wrong variance.
 THIN = 0.7
+#: A window follows a steep drift that widens the step up to so many times the plain noise.
+STRETCH = 2.0
 #: No move is longer than this, in cells; it has left any grid.
 FAR = 1e9
 
@@ -37,37 +39,61 @@ class Stencil(Protocol):
         """Return the weights (cells, K) of the moves from some cells; each row sums to 1."""
 
 
-def choose_stencil(model: StateModel, grid: Grid, settings: KernelSettings, t: float) -> Stencil:
-    """Return the stencil that the settings ask for, or that suits the noise."""
+def choose_stencils(model: StateModel, grid: Grid, settings: KernelSettings,
+                    t: float) -> list[tuple[Stencil, Integers]]:
+    """
+    Return the stencils that the settings ask for, or that suit the step, and for which cells.
+
+    The density sampled at the cells' centres is the step itself, but needs noise that is at least
+    THIN; the moments hold everywhere.
+    """
     variance = variance_in_cells(model, grid, settings, t)
-    if np.linalg.matrix_rank(variance, hermitian=True) < len(variance):
-        if settings.weights == 'sampled':
-            raise ValueError("weights: expected 'auto' or 'moments' where the noise does not "
-                             "reach every state (g = e Q e^T is singular), got 'sampled'")
-        return _MomentStencil(model, grid, settings, t)
-    # a cell's width against the noise of one state with the others given
-    thinnest = 1 / np.sqrt(np.diag(np.linalg.inv(variance)).max())
-    if settings.weights == 'sampled' or (
-            settings.weights == 'auto' and (settings.extent > 0 or thinnest >= THIN)):
-        return _SampledStencil(model, grid, settings, t)
-    return _MomentStencil(model, grid, settings, t)
+    regular = np.linalg.matrix_rank(variance, hermitian=True) == len(variance)
+    if settings.weights == 'sampled' and not regular:
+        raise ValueError("weights: expected 'auto' or 'moments' where the noise does not reach "
+                         "every state (g = e Q e^T is singular), got 'sampled'")
+    step = step_moments(model, grid.points, grid.spacing, settings, t)
+    if settings.weights == 'sampled' or (settings.weights == 'auto' and settings.extent):
+        sampled = np.ones(grid.size, dtype=bool)
+    elif settings.weights == 'auto' and regular:
+        sampled = step.settled & _is_wide(step.covariance, grid.spacing, variance)
+    else:
+        sampled = np.zeros(grid.size, dtype=bool)
+    chosen: list[tuple[Stencil, Integers]] = []
+    if sampled.any():
+        cells = np.flatnonzero(sampled)
+        chosen.append((_SampledStencil(model, grid, settings, t, step, cells), cells))
+    if not sampled.all():
+        cells = np.flatnonzero(~sampled)
+        chosen.append((_MomentStencil(grid, settings, step, cells), cells))
+    return chosen
+
+
+def _is_wide(covariance: Array, spacing: Array, plain: Array) -> NDArray[np.bool_]:
+    """Return where a step is wide enough to be sampled, and no wider than a window is made for."""
+    in_cells = np.moveaxis(covariance / np.outer(spacing, spacing)[..., None], -1, 0)
+    # each state's noise with the others given, and its noise alone
+    given = 1 / np.diagonal(np.linalg.inv(in_cells), axis1=1, axis2=2)
+    alone = np.diagonal(in_cells, axis1=1, axis2=2)
+    return np.asarray(np.all(given >= THIN**2, axis=1)
+                      & np.all(alone <= STRETCH**2 * np.diag(plain), axis=1))
 
 
 class _SampledStencil:
     """The density of the step at the cell centres, any r, either Jacobian."""
 
-    def __init__(self, model: StateModel, grid: Grid, settings: KernelSettings,
-                 t: float) -> None:
-        move, spread = step_moments(model, grid.points, settings, t, iterations=1)
+    def __init__(self, model: StateModel, grid: Grid, settings: KernelSettings, t: float,
+                 step: StepMoments, cells: Integers) -> None:
         dx, eps = grid.spacing, settings.time_step
-        self.shift = _whole_cells(move / dx[:, None])
-        self._model, self._grid, self._settings, self._t = model, grid, settings, t
+        self.shift = _whole_cells(step.mean / dx[:, None])
+        self._grid, self._settings = grid, settings
         self._g = model.diffusion(t + settings.r * eps)
         self._reach = reach(settings.tolerance, grid.ndim)
-        # a steep drift may widen the step; twice the plain width is as far as it is followed
-        widest = np.minimum(spread.max(axis=2).diagonal() / (eps * np.diag(self._g)), 4.0)
-        stretch = np.sqrt(np.maximum(widest, 1.0))
-        half = np.ceil(self._reach * stretch * np.sqrt(eps * np.diag(self._g)) / dx + 0.5)
+        # a steep drift may widen the step
+        plain = eps * np.diag(self._g)
+        widest = np.diagonal(step.covariance[..., cells].max(axis=2)) / plain
+        stretch = np.sqrt(np.clip(widest, 1.0, STRETCH**2))
+        half = np.ceil(self._reach * stretch * np.sqrt(plain) / dx + 0.5)
         box = _box(half.astype(int))
         # the ellipse of the step, and half a cell around it since shifts are whole cells
         whiten = np.linalg.inv(np.linalg.cholesky(eps * self._g)) * dx
@@ -94,26 +120,23 @@ class _MomentStencil:
     Weights with the step's mean and covariance, for noise of any width, none included.
 
     The step's Gaussian is taken apart into one axis given the ones before it, x = m + L y with L
-    unit lower triangular and y independent, widest axis first.  Each axis is laid onto its nodes
-    by weights with the right mean and variance: a sampled Gaussian where it is wide, three nodes
-    where it is thin, and where even the thinnest weights with this mean are too wide (a mean
-    between two nodes spreads by itself), the two nodes beside it.
+    unit lower triangular and y independent, the widest of what is left first.  Each axis is laid
+    onto its nodes by weights with the right mean and variance: a sampled Gaussian where it is
+    wide, three nodes where it is thin, and where even the thinnest weights with this mean are too
+    wide (a mean between two nodes spreads by itself), the two nodes beside it.
     """
 
-    def __init__(self, model: StateModel, grid: Grid, settings: KernelSettings,
-                 t: float) -> None:
-        move, spread = step_moments(model, grid.points, settings, t)
+    def __init__(self, grid: Grid, settings: KernelSettings, step: StepMoments,
+                 cells: Integers) -> None:
         dx = grid.spacing
-        spread = spread / (dx[:, None] * dx)[..., None]
-        self._order = np.argsort(-spread.max(axis=2).diagonal(), kind='stable')
-        self._lower, self._variance = _unit_triangular(
-            spread[self._order][:, self._order])
-        self.shift = _whole_cells(move / dx[:, None])
-        self._rest = (move / dx[:, None] - self.shift)[self._order]
-        self._reach = reach(settings.tolerance, 1)
-        self._half = self._half_widths()
+        spread = step.covariance / np.outer(dx, dx)[..., None]
+        order = _widest_first(spread[..., cells].mean(axis=2))
+        self._lower, self._variance = _unit_triangular(spread[order][:, order])
+        self.shift = _whole_cells(step.mean / dx[:, None])
+        self._rest = (step.mean / dx[:, None] - self.shift)[order]
+        self._half = self._half_widths(reach(settings.tolerance, 1), cells)
         self.offsets = np.empty((grid.ndim, np.prod(2 * self._half + 1)), dtype=int)
-        self.offsets[self._order] = _box(self._half)
+        self.offsets[order] = _box(self._half)
 
     def weights(self, cells: Integers) -> Array:
         """Return the weights (cells, K), exact in mass and mean."""
@@ -127,34 +150,40 @@ class _MomentStencil:
             for j in range(d):
                 y[j] = y[j][..., None]
                 mean = mean + self._lower[d, j, cells].reshape(shape) * y[j]
-            w = w[..., None] * _node_weights(nodes, mean, self._variance[d, cells].reshape(shape))
-            y.append(nodes - mean)
+            wanted = self._variance[d, cells].reshape(shape)
+            w_d, variance = _node_weights(nodes, mean, wanted)
+            w = w[..., None] * w_d
+            # where the nodes spread more than they should, later axes lean on them less
+            lean = np.divide(wanted, variance, out=np.zeros_like(variance), where=variance > 0)
+            y.append((nodes - mean) * lean)
         return w.reshape(len(cells), -1)
 
-    def _half_widths(self) -> Integers:
+    def _half_widths(self, radius: float, cells: Integers) -> Integers:
         """Return how many nodes each axis needs on either side of its shift."""
         half: list[int] = []
         for d in range(len(self._variance)):
-            widest = float(self._variance[d].max())
-            own = 1 if widest < THIN**2 else math.ceil(self._reach * math.sqrt(widest)) + 1
-            lean = sum(float(np.abs(self._lower[d, j]).max()) * (half[j] + 0.5)
+            widest = float(self._variance[d, cells].max())
+            own = 1 if widest < THIN**2 else math.ceil(radius * math.sqrt(widest)) + 1
+            lean = sum(float(np.abs(self._lower[d, j, cells]).max()) * (half[j] + 0.5)
                        for j in range(d))
             half.append(own + math.ceil(lean))
         return np.array(half)
 
 
-def _node_weights(nodes: Integers, mean: Array, variance: Array) -> Array:
-    """Return weights on nodes with a mean and a variance, both in cells; sums are 1."""
+def _node_weights(nodes: Integers, mean: Array, variance: Array) -> tuple[Array, Array]:
+    """Return weights on nodes with a mean and, where it can be, a variance; and that variance."""
     nearest = np.rint(mean)
     offset, position = mean - nearest, nodes - nearest
     # second moment about the nearest node, at least that of the two nodes beside the mean
     second = np.maximum(variance + offset**2, np.abs(offset))
     thin = np.where(position == 0, 1 - second,
                     np.where(np.abs(position) == 1, (second + position * offset) / 2, 0.0))
-    if np.all(variance < THIN**2):
-        return thin
+    is_thin = variance < THIN**2
+    if np.all(is_thin):
+        return thin, second - offset**2
     wide = np.exp(-(nodes - mean)**2 / (2 * np.maximum(variance, THIN**2)))
-    return np.where(variance < THIN**2, thin, wide / wide.sum(axis=-1, keepdims=True))
+    wide /= wide.sum(axis=-1, keepdims=True)
+    return np.where(is_thin, thin, wide), np.where(is_thin, second - offset**2, variance)
 
 
 class _Fields:
@@ -194,6 +223,19 @@ class _Fields:
             return np.stack([f.take(where) for f in self._f]), self._log_jacobian.take(where)
         return self._ask(np.stack([
             x[cells, None] + self._r * move for x, move in zip(self._points, moves)]))
+
+
+def _widest_first(covariance: Array) -> Integers:
+    """Return the axes in the order in which each has the most variance left, the former given."""
+    left, order = covariance.copy(), []
+    for _ in range(len(left)):
+        variance = np.diagonal(left).copy()
+        variance[order] = -1.0
+        widest = int(np.argmax(variance))
+        order.append(widest)
+        if variance[widest] > 0:
+            left = left - np.outer(left[widest], left[widest]) / left[widest, widest]
+    return np.array(order)
 
 
 def _unit_triangular(spread: Array) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from scipy import sparse
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels.formula import Array, KernelSettings
 from pif_ros.core.kernels.stencils import (
-    choose_stencil, Integers, reach, Stencil, strides_of, variance_in_cells)
+    choose_stencils, Integers, reach, Stencil, strides_of, variance_in_cells)
 from pif_ros.core.models import StateModel
 
 #: Weights that are worked on at a time, for the sake of the cache.
@@ -28,17 +28,9 @@ def dirac_feynman(model: StateModel, grid: Grid, settings: KernelSettings,
     missing from it, and a periodic axis wraps.  Raises ValueError where 'sampled' weights are
     asked for a singular diffusion matrix.
     """
-    stencil = choose_stencil(model, grid, settings, t)
-    most = grid.size * stencil.offsets.shape[1]
-    data, rows = np.empty(most), np.empty(most, dtype=np.int32)
-    counts, end = [np.zeros(1, dtype=int)], 0
-    for w, targets, count in _columns(grid, stencil, settings.extent):
-        start, end = end, end + len(w)
-        data[start:end], rows[start:end] = w, targets
-        counts.append(count)
-    pointers = np.cumsum(np.concatenate(counts)).astype(np.int32)
-    assert end <= np.iinfo(np.int32).max
-    kernel = sparse.csc_array((data[:end], rows[:end], pointers), shape=(grid.size, grid.size))
+    parts = [_tabulated(grid, stencil, cells, settings.extent)
+             for stencil, cells in choose_stencils(model, grid, settings, t)]
+    kernel = parts[0] if len(parts) == 1 else parts[0] + parts[1]
     if any(grid.periodic):
         kernel.sum_duplicates()
     return kernel.tocsr()
@@ -54,29 +46,43 @@ def stored_elements(model: StateModel, grid: Grid, settings: KernelSettings,
     return grid.size * max(ball, 3.0**n)
 
 
-def _columns(grid: Grid, stencil: Stencil,
-             extent: int) -> Iterator[tuple[Array, Integers, Integers]]:
-    """Give weights, rows and their number per column, for some columns at a time."""
+def _tabulated(grid: Grid, stencil: Stencil, cells: Integers, extent: int) -> sparse.csc_array:
+    """Return the columns of some cells, (size, size); the others are empty."""
+    most = len(cells) * stencil.offsets.shape[1]
+    data, rows = np.empty(most), np.empty(most, dtype=np.int32)
+    counts, end = np.zeros(grid.size + 1, dtype=np.int64), 0
+    for some, w, targets, count in _columns(grid, stencil, cells, extent):
+        start, end = end, end + len(w)
+        data[start:end], rows[start:end] = w, targets
+        counts[some + 1] = count
+    pointers = np.cumsum(counts)
+    if end <= np.iinfo(np.int32).max:
+        pointers = pointers.astype(np.int32)
+    return sparse.csc_array((data[:end], rows[:end], pointers), shape=(grid.size, grid.size))
+
+
+def _columns(grid: Grid, stencil: Stencil, cells: Integers,
+             extent: int) -> Iterator[tuple[Integers, Array, NDArray[np.int32], Integers]]:
+    """Give some cells at a time, with the weights, rows and number of weights of their columns."""
     shape, strides = np.array(grid.shape)[:, None], strides_of(np.array(grid.shape))
-    index = np.indices(grid.shape).reshape(grid.ndim, -1)
-    start, moved = index + stencil.shift, strides @ stencil.offsets
+    start = np.indices(grid.shape).reshape(grid.ndim, -1) + stencil.shift
     low, high = stencil.offsets.min(axis=1)[:, None], stencil.offsets.max(axis=1)[:, None]
     whole = np.all((start + low >= 0) & (start + high < shape), axis=0)
-    base, moved = (strides @ start).astype(np.int32), moved.astype(np.int32)
+    base, moved = ((strides @ place).astype(np.int32) for place in (start, stencil.offsets))
     step = max(1, CHUNK // stencil.offsets.shape[1])
-    for first in range(0, grid.size, step):
-        cells = np.arange(first, min(first + step, grid.size))
-        w = stencil.weights(cells)
+    for first in range(0, len(cells), step):
+        some = cells[first:first + step]
+        w = stencil.weights(some)
         keep = w > 0
-        rows = base[cells, None] + moved
-        edge = np.flatnonzero(~whole[cells])
+        rows = base[some, None] + moved
+        edge = np.flatnonzero(~whole[some])
         rows[edge], inside = _land(
-            grid, start[:, cells[edge], None] + stencil.offsets[:, None], strides)
+            grid, start[:, some[edge], None] + stencil.offsets[:, None], strides)
         keep[edge] &= inside
         if extent:
             for i in range(grid.ndim):
-                keep &= np.abs(stencil.shift[i, cells, None] + stencil.offsets[i]) <= extent
-        yield w[keep], rows[keep], keep.sum(axis=1)
+                keep &= np.abs(stencil.shift[i, some, None] + stencil.offsets[i]) <= extent
+        yield some, w[keep], rows[keep], keep.sum(axis=1)
 
 
 def _land(grid: Grid, target: Integers,
