@@ -29,6 +29,8 @@ from std_srvs.srv import Empty, Trigger
 #: The belief hardly allows a measurement whose likelihood, averaged over the belief, is less than
 #: that of ten standard deviations.
 OUTLIER = -0.5 * 10**2
+#: So many corrections of a replay are made before signals, services and messages have their turn.
+SLICE = 32
 #: A replay of more corrections than this waits until a burst of late measurements has ended ...
 LONG_REPLAY = 4
 #: ... but no longer than this, in seconds.
@@ -157,10 +159,14 @@ class FilterNode(Node):
             self._wake.trigger()
             return
         self._burst_since = None
+        if not self.tracker.backlog:
+            return
+        estimate = self.tracker.estimate(at_most=SLICE)
         if self.tracker.backlog:
-            estimate = self.tracker.estimate()
-            self._judge()
-            self._publish(estimate)
+            self._wake.trigger()
+            return
+        self._judge()
+        self._publish(estimate)
 
     @guarded
     def _on_timer(self) -> None:
@@ -228,7 +234,12 @@ class FilterNode(Node):
         stamp_ns = max(estimate.stamp_ns, self._published_ns)
         if estimate.stamp_ns < stamp_ns:
             estimate = self.tracker.forecast(stamp_ns)
-        belief, self._published_ns = estimate.belief, stamp_ns
+        belief = estimate.belief
+        if not belief.mass > 0:
+            self.report('lost', 'all of the belief has left the grid: back to the prior')
+            self._restart(None, None)
+            return
+        self._published_ns = stamp_ns
         point = belief.mode() if self._live['pose.estimator'] == 'mode' else belief.mean()
         pose = conversions.pose_message(point, belief.covariance(about=point), self._pose_axes,
                                         self.config.pose.unestimated_variance)

@@ -48,8 +48,8 @@ DENSITY = Endpoint('~/density', Float64MultiArray, 'the density over `density.ax
                    '`density.rate`, where someone listens; `layout.dim` names each axis with its '
                    'first coordinate, spacing and unit; the sum times the cell volume is 1',
                    _reliable(1))
-DENSITY_MAP = Endpoint('~/density_map', OccupancyGrid, 'the marginal over x and y of the pose, for '
-                       'RViz and Foxglove: 100 in the densest cell', _LATCHED)
+DENSITY_MAP = Endpoint('~/density_map', OccupancyGrid, 'the marginal over x and y of the pose, '
+                       'for RViz and Foxglove: 100 in the densest cell', _LATCHED)
 PUBLICATIONS = (POSE, POSE_UNSTAMPED, DENSITY, DENSITY_MAP)
 
 INITIAL_POSE = Endpoint('initialpose', PoseWithCovarianceStamped, 'restarts the belief '

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pif_ros.config import Config, ConfigError, specifications
+from pif_ros.config import Config, specifications
 from pif_ros.config.kinds import taken
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node

@@ -190,8 +190,8 @@ def test_there_are_many_wrong_configurations_and_each_is_another():
     assert len({str(case.values[0]) for case in WRONG}) == len(WRONG) >= 40
 
 
-@pytest.mark.parametrize('base', [SMALL, PLANE, RANGE, LINE], ids=['small', 'plane', 'range',
-                                                                  'line'])
+@pytest.mark.parametrize('base', [SMALL, PLANE, RANGE, LINE],
+                         ids=['small', 'plane', 'range', 'line'])
 def test_what_the_wrong_configurations_were_made_from_is_right(shared, base):
     assert isinstance(shared.filter_node(base), FilterNode)
 

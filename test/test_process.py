@@ -115,7 +115,8 @@ def test_a_file_for_another_node_is_told_from_one_for_this_node(tmp_path):
 
 
 @pytest.mark.parametrize('text', [
-    '', '# nothing\n', 'ekf_node'.encode('utf-16'), '/**:\n  ros__parameters: {use_sim_time: true}\n',
+    '', '# nothing\n', 'ekf_node'.encode('utf-16'),
+    '/**:\n  ros__parameters: {use_sim_time: true}\n',
     'ekf_node:\n  ros__parameters: {a: 1}\n/**:\n  ros__parameters: {use_sim_time: true}\n'])
 def test_a_file_that_is_empty_or_for_every_node_is_no_strangers(tmp_path, text):
     path = tmp_path / 'some.yaml'

@@ -99,6 +99,7 @@ class DiracFeynmanFilter:
             p = moved * a + p * (1 - a)
         return GridBelief(self.grid, p.reshape(self.grid.shape))
 
+    @np.errstate(over='ignore', invalid='ignore')
     def correct(self, belief: GridBelief, y: ArrayLike, sensor: str,
                 at_ns: int) -> tuple[GridBelief, float]:
         """
@@ -108,9 +109,8 @@ class DiracFeynmanFilter:
         the measurement at all, the belief stays as it is and the evidence is -inf.
         """
         p = belief.density.ravel()
-        with np.errstate(over='ignore', invalid='ignore'):
-            log_l = self._likelihoods[sensor].log(np.asarray(y, dtype=float), p,
-                                                  at_ns / NANOSECONDS)
+        log_l = self._likelihoods[sensor].log(np.asarray(y, dtype=float), p,
+                                              at_ns / NANOSECONDS)
         peak = log_l.max()
         posterior = _posterior(p, log_l, peak)
         evidence = posterior.sum()

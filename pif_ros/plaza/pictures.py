@@ -82,8 +82,9 @@ def draw_moments(file: Path, recording: Recording, moments: Sequence[Moment]) ->
         bar.minorticks_off()
         bar.set_label('density relative to its peak', labelpad=2)
         bar.outline.set_visible(False)
-        figure.legend(handles=_moment_legend(), loc='outside lower center', ncols=4,
-                      handletextpad=0.4, columnspacing=1.6)
+        figure.get_layout_engine().set(rect=(0.0, 0.055, 1.0, 0.945))
+        figure.legend(handles=_moment_legend(), loc='lower center', ncols=4, handletextpad=0.4,
+                      columnspacing=1.6)
         _save(figure, file)
 
 
@@ -188,7 +189,7 @@ def draw_track(file: Path, recording: Recording, track: Track, every: float = 30
         ax.plot(*recording.truth[:, :2].T, color=_INK, lw=0.9, zorder=2, label='truth (GPS)')
         ax.plot(*track.means.T, 'o', color=_BLUE, ms=2.2, mew=0, alpha=0.75, zorder=3,
                 label='estimate, one per range')
-        ax.plot([], [], 'o', ms=11, mec=_ORANGE, mfc=_ORANGE + '30',
+        ax.plot([], [], 'o', ms=4.5, mec=_ORANGE, mfc=_ORANGE + '30',
                 label=f'its 95 % ellipse, every {every:g} s')
         for beacon, (x, y) in recording.beacons.items():
             ax.plot(x, y, '^', ms=11, mec='black', mew=0.7, mfc=_GREY, zorder=4)
@@ -245,11 +246,9 @@ def _draw_errors(ax: Axes, recording: Recording, name: str, track: Track) -> flo
 
 def _legend(figure: Figure, ax: Axes, columns: int) -> None:
     """Name above the figure what an axes shows, small markers large enough to tell apart."""
-    legend = figure.legend(
-        *ax.get_legend_handles_labels(), loc='outside upper center', ncols=columns)
-    for handle in legend.legend_handles:
-        if isinstance(handle, Line2D):
-            handle.set_markersize(max(handle.get_markersize(), 5.0))
+    figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 0.94))
+    figure.legend(*ax.get_legend_handles_labels(), loc='upper center', ncols=columns,
+                  markerscale=2.5)
 
 
 def _ellipses(ax: Axes, means: NDArray[np.float64], covariances: NDArray[np.float64],

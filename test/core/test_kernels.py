@@ -664,10 +664,10 @@ def test_a_kernel_of_four_dimensions_keeps_mass_and_moments():
 
 
 @pytest.mark.parametrize('fields, wanted, got', [
-    ({'time_step': 0.0}, 'time_step: expected a positive number of seconds', '0.0'),
-    ({'time_step': -1}, 'time_step: expected a positive number of seconds', '-1'),
-    ({'time_step': float('nan')}, 'time_step: expected a positive number of seconds', 'nan'),
-    ({'time_step': float('inf')}, 'time_step: expected a positive number of seconds', 'inf'),
+    ({'time_step': 0.0}, 'time_step: expected a nanosecond or more, in seconds', '0.0'),
+    ({'time_step': -1}, 'time_step: expected a nanosecond or more, in seconds', '-1'),
+    ({'time_step': float('nan')}, 'time_step: expected a nanosecond or more, in seconds', 'nan'),
+    ({'time_step': float('inf')}, 'time_step: expected a nanosecond or more, in seconds', 'inf'),
     ({'r': 1.5}, 'r: expected a number from 0 to 1', '1.5'),
     ({'r': float('nan')}, 'r: expected a number from 0 to 1', 'nan'),
     ({'jacobian': 'trace'}, "jacobian: expected 'determinant' or 'exponential'", "'trace'"),
