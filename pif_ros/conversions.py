@@ -149,7 +149,7 @@ def gaussian_from_pose(message: PoseWithCovariance, axes: Sequence[int | None], 
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Return the quaternion (x, y, z, w) of a rotation by roll, then pitch, then yaw."""
+    """Return x, y, z and w of a rotation by roll, then pitch, then yaw."""
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)

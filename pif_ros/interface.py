@@ -7,8 +7,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseWithCovariance, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
-from rclpy.qos import (
-    DurabilityPolicy, qos_profile_services_default, QoSProfile, ReliabilityPolicy)
+from rclpy.qos import DurabilityPolicy, qos_profile_services_default, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Empty, Trigger
 
@@ -18,7 +17,7 @@ class Endpoint:
     """A topic or a service: its name, type and quality of service, and what it is for."""
 
     name: str
-    type: Any
+    type: Any  # noqa: A003
     says: str
     qos: QoSProfile = field(default_factory=lambda: qos_profile_services_default)
 

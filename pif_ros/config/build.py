@@ -11,7 +11,6 @@ import os
 from typing import Any, TypeVar
 
 import numpy as np
-
 from pif_ros.config.kinds import ConfigError
 from pif_ros.config.table import Config
 from pif_ros.core.belief import GridBelief

@@ -15,11 +15,10 @@ from pathlib import Path
 import re
 from typing import Any
 
+from pif_ros.config.kinds import (BOOL, BOOLS, ConfigError, COUNT, DURATION, FREQUENCY, INTEGER,
+                                  INTEGERS, NAME, NAMES, NOT_NEGATIVE, NUMBER, NUMBERS, one_of,
+                                  parameter, POSITIVE, taken, TEXT, Value)
 import yaml
-
-from pif_ros.config.kinds import (
-    BOOL, BOOLS, ConfigError, COUNT, DURATION, FREQUENCY, INTEGER, INTEGERS, NAME, NAMES,
-    NOT_NEGATIVE, NUMBER, NUMBERS, one_of, parameter, POSITIVE, taken, TEXT, Value)
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,8 @@ class GridConfig:
 class PriorConfig:
     """What is believed before the first measurement."""
 
-    type: str = parameter('gaussian', one_of('gaussian', 'uniform'), 'shape of the prior')
+    type: str = parameter(  # noqa: A003
+        'gaussian', one_of('gaussian', 'uniform'), 'shape of the prior')
     mean: tuple[float, ...] = parameter((0.0, 0.0), NUMBERS, 'mean, where gaussian, '
                                         'in the units of the state')
     covariance_diagonal: tuple[float, ...] = parameter(
@@ -59,7 +59,7 @@ class PriorConfig:
 class FilterConfig:
     """Which filter."""
 
-    type: str = parameter('df', one_of('df'), 'the Dirac-Feynman filter')
+    type: str = parameter('df', one_of('df'), 'the Dirac-Feynman filter')  # noqa: A003
     average_cells: bool = parameter(True, BOOL, 'average a likelihood that is narrower than a '
                                     'cell over the cell, instead of taking it at the centre')
 
@@ -85,7 +85,8 @@ class SourceConfig:
     """Where a measurement comes from; every name in measurements.names has one."""
 
     topic: str = parameter('measurement', NAME, 'topic to subscribe to')
-    type: str = parameter('std_msgs/msg/Float64MultiArray', NAME, 'any installed message type')
+    type: str = parameter(  # noqa: A003
+        'std_msgs/msg/Float64MultiArray', NAME, 'any installed message type')
     fields: tuple[str, ...] = parameter((), NAMES, 'paths of the fields that make y, such as '
                                         '`pose.pose.position.x` or `ranges[0]`; empty: `data`')
     sensor: str = parameter('', TEXT, "which of the system's sensors; empty: its first")
@@ -106,7 +107,7 @@ class MeasurementsConfig:
 class PoseConfig:
     """What is published as a pose."""
 
-    axes: tuple[str, ...] = parameter((), NAMES, "states that are x, y, z, roll, pitch, yaw, in "
+    axes: tuple[str, ...] = parameter((), NAMES, 'states that are x, y, z, roll, pitch, yaw, in '
                                       "that order; '': not estimated; empty: the first two")
     estimator: str = parameter('mean', one_of('mean', 'mode'), 'point that is published; the '
                                'covariance is about it', live=True)
@@ -151,7 +152,7 @@ class Config:
     model: ModelConfig = field(default_factory=ModelConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     prior: PriorConfig = field(default_factory=PriorConfig)
-    filter: FilterConfig = field(default_factory=FilterConfig)
+    filter: FilterConfig = field(default_factory=FilterConfig)  # noqa: A003
     kernel: KernelConfig = field(default_factory=KernelConfig)
     measurements: MeasurementsConfig = field(default_factory=MeasurementsConfig)
     frame_id: str = parameter('map', NAME, 'frame of the poses and the density')

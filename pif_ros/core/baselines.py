@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.models import Sensor, StateModel
 

@@ -8,10 +8,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pif_ros.core.grid import Grid
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
-
-from pif_ros.core.grid import Grid
 
 Array = NDArray[np.float64]
 

@@ -9,13 +9,12 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
-
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
-from pif_ros.core.kernels import KernelSettings, dirac_feynman
+from pif_ros.core.kernels import dirac_feynman, KernelSettings
 from pif_ros.core.likelihood import GridLikelihood
 from pif_ros.core.models import Sensor, StateModel
+from scipy import sparse
 
 Array = NDArray[np.float64]
 Belief = TypeVar('Belief')

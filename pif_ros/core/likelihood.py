@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor
 

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
 from pif_ros.core.belief import check_covariance
 
 Array = NDArray[np.float64]

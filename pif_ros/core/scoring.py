@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
-
 from pif_ros.core.belief import GridBelief
+from scipy import stats
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
 from pif_ros.core.models import Sensor, StateModel
 
 Array = NDArray[np.float64]

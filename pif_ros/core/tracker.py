@@ -14,7 +14,7 @@ from enum import Enum
 import math
 from typing import Generic
 
-from pif_ros.core.filters import NANOSECONDS, Belief, Filter
+from pif_ros.core.filters import Belief, Filter, NANOSECONDS
 
 
 @dataclass(frozen=True, order=True)

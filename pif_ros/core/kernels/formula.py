@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-
 from pif_ros.core.models import StateModel
 
 Array = NDArray[np.float64]
@@ -167,4 +166,5 @@ def _determinant(D: Array) -> Array:
 
 def _solve(A: Array, b: Array) -> Array:
     """Solve A x = b for matrices (n, n, N) and vectors (n, N)."""
-    return np.asarray(np.linalg.solve(np.moveaxis(A, -1, 0), b.T[..., None])[..., 0].T, dtype=float)
+    x = np.linalg.solve(np.moveaxis(A, -1, 0), b.T[..., None])[..., 0].T
+    return np.asarray(x, dtype=float)

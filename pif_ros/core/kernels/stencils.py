@@ -8,12 +8,11 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammainccinv
-
 from pif_ros.core.grid import Grid
-from pif_ros.core.kernels.formula import (
-    action, Array, drift_terms, KernelSettings, step_moments, StepMoments)
+from pif_ros.core.kernels.formula import (action, Array, drift_terms, KernelSettings, step_moments,
+                                          StepMoments)
 from pif_ros.core.models import StateModel
+from scipy.special import gammainccinv
 
 Integers = NDArray[np.int64]
 
@@ -36,7 +35,7 @@ class Stencil(Protocol):
     offsets: Integers
 
     def weights(self, cells: Integers) -> Array:
-        """Return the weights (cells, K) of the moves from some cells; each row sums to 1."""
+        """Return what each move from some cells weighs, (cells, K); a row sums to 1."""
 
 
 def choose_stencils(model: StateModel, grid: Grid, settings: KernelSettings,
@@ -102,7 +101,7 @@ class _SampledStencil:
         self._fields = _Fields(model, grid, settings, t, self.shift, self.offsets)
 
     def weights(self, cells: Integers) -> Array:
-        """Return the weights (cells, K), normalised over the unlimited lattice."""
+        """Return what each move weighs, normalised over the unlimited lattice, (cells, K)."""
         dx, eps = self._grid.spacing, self._settings.time_step
         moves = [(self.shift[i, cells, None] + self.offsets[i]) * dx[i] for i in range(len(dx))]
         f, log_w = self._fields.at(cells, moves)
@@ -139,7 +138,7 @@ class _MomentStencil:
         self.offsets[order] = _box(self._half)
 
     def weights(self, cells: Integers) -> Array:
-        """Return the weights (cells, K), exact in mass and mean."""
+        """Return what each move weighs, exact in mass and thin means, (cells, K)."""
         w: Array = np.ones(len(cells))
         y: list[Array] = []
         for d, half in enumerate(self._half):

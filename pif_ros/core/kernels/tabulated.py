@@ -7,13 +7,12 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels.formula import Array, KernelSettings
-from pif_ros.core.kernels.stencils import (
-    choose_stencils, Integers, reach, Stencil, strides_of, variance_in_cells)
+from pif_ros.core.kernels.stencils import (choose_stencils, Integers, reach, Stencil, strides_of,
+                                           variance_in_cells)
 from pif_ros.core.models import StateModel
+from scipy import sparse
 
 #: Weights that are worked on at a time, for the sake of the cache.
 CHUNK = 1 << 18
