@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, Field, field
 import math
 from typing import Any
@@ -93,7 +93,7 @@ def _many(one: Callable[[Value], Any]) -> Callable[[Value], tuple[Any, ...]]:
     def take(value: Value) -> tuple[Any, ...]:
         if value is None:
             return ()
-        if isinstance(value, (str, bytes)) or not hasattr(value, '__iter__'):
+        if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
             raise ValueError
         return tuple(one(item) for item in value)
     return take
@@ -132,7 +132,8 @@ def taken(name: str, value: Value, spec: Field[Any]) -> Any:
     try:
         return kind.take(value)
     except (ValueError, TypeError, OverflowError):
-        shown = list(value) if hasattr(value, '__iter__') and not isinstance(value, str) else value
+        listed = isinstance(value, Iterable) and not isinstance(value, str)
+        shown = list(value) if listed else value  # type: ignore[arg-type]
         hint = (" (y, n, on and off are true and false unless in quotes: 'y')"
                 if kind is NAMES and isinstance(shown, list)
                 and any(isinstance(item, bool) for item in shown) else '')

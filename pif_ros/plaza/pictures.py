@@ -13,6 +13,7 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.path import Path as MarkerPath
 from matplotlib.patheffects import withStroke
@@ -66,7 +67,8 @@ def draw_moments(file: Path, recording: Recording, moments: Sequence[Moment]) ->
     left, right, low, high = _extent(moments[0])
     panel = 2.43 * (high - low) / (right - left)
     with rc_context(_STYLE):
-        figure = Figure(figsize=(9.0, 1.0 + rows * (panel + 0.33)), layout='constrained')
+        figure = Figure(figsize=(9.0, 1.0 + rows * (panel + 0.33)),
+                        layout=_room(bottom=0.055))
         axes = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
         for ax, moment in zip(axes.flat, moments):
             image = _draw_moment(ax, recording, moment)
@@ -82,7 +84,6 @@ def draw_moments(file: Path, recording: Recording, moments: Sequence[Moment]) ->
         bar.minorticks_off()
         bar.set_label('density relative to its peak', labelpad=2)
         bar.outline.set_visible(False)
-        figure.get_layout_engine().set(rect=(0.0, 0.055, 1.0, 0.945))
         figure.legend(handles=_moment_legend(), loc='lower center', ncols=4, handletextpad=0.4,
                       columnspacing=1.6)
         _save(figure, file)
@@ -181,7 +182,7 @@ def draw_track(file: Path, recording: Recording, track: Track, every: float = 30
     The first such time passes without one: the ellipse is as wide as the prior.
     """
     with rc_context(_STYLE):
-        figure = Figure(figsize=(9.0, 7.9), layout='constrained')
+        figure = Figure(figsize=(9.0, 7.9), layout=_room(top=0.06))
         ax = figure.subplots()
         chosen = _every(track.stamps_ns, round(every * 1e9))[1:]
         _ellipses(ax, track.means[chosen], track.covariances[chosen], edgecolors=_ORANGE,
@@ -213,7 +214,7 @@ def draw_errors(file: Path, recording: Recording, tracks: Mapping[str, Track]) -
     that a point is inside a band where the truth is inside that ellipse.
     """
     with rc_context(_STYLE):
-        figure = Figure(figsize=(9.0, 0.8 + 2.3 * len(tracks)), layout='constrained')
+        figure = Figure(figsize=(9.0, 0.8 + 2.3 * len(tracks)), layout=_room(top=0.06))
         axes = figure.subplots(len(tracks), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         top = 0.0
         for ax, (name, track) in zip(axes, tracks.items()):
@@ -244,9 +245,13 @@ def _draw_errors(ax: Axes, recording: Recording, name: str, track: Track) -> flo
     return 1.1 * float(e[t > t[0] + 0.1 * np.ptp(t)].max())
 
 
+def _room(bottom: float = 0.0, top: float = 0.0) -> ConstrainedLayoutEngine:
+    """Return a layout that leaves shares of the figure's height free for a legend."""
+    return ConstrainedLayoutEngine(rect=(0.0, bottom, 1.0, 1.0 - bottom - top))
+
+
 def _legend(figure: Figure, ax: Axes, columns: int) -> None:
     """Name above the figure what an axes shows, small markers large enough to tell apart."""
-    figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 0.94))
     figure.legend(*ax.get_legend_handles_labels(), loc='upper center', ncols=columns,
                   markerscale=2.5)
 

@@ -226,7 +226,8 @@ class _Fields:
 
 def _widest_first(covariance: Array) -> Integers:
     """Return the axes in the order in which each has the most variance left, the former given."""
-    left, order = covariance.copy(), []
+    left = covariance.copy()
+    order: list[int] = []
     for _ in range(len(left)):
         variance = np.diagonal(left).copy()
         variance[order] = -1.0
