@@ -298,12 +298,16 @@ from pif_ros.core.systems import System, double_well
 def steep(sigma=0.5, sigma_y=0.25):
     return double_well(sigma, sigma_y)
 
+def typed(sigma=0.5):
+    return double_well(sigma if type(sigma) is float else 99.0)
+
 def nothing():
     return None
 """
 ENTRIES = """
 [pif_ros.systems]
 steep_well = systems_of_another:steep
+typed_well = systems_of_another:typed
 nothing = systems_of_another:nothing
 number = systems_of_another:NUMBER
 broken = systems_of_another_that_does_not_exist:steep
@@ -331,6 +335,12 @@ def test_a_system_of_an_installed_package_is_found_by_its_entry_point(graph):
     assert model.drift(np.array([[2.0]]), 0.0).tolist() == [[-24.0]]  # -4 x (x^2 - 1)
     assert model.diffusion(0.0).tolist() == [[0.5625]]
     assert node.tracker.filter.sensors['main'].noise(0.0).tolist() == [[0.0625]]
+
+
+@pytest.mark.usefixtures('other_package')
+def test_a_system_of_another_package_gets_real_numbers_for_integers(graph):
+    node = graph.filter_node({**LINE, 'model.name': 'typed_well', 'model.params.sigma': 2})
+    assert node.tracker.filter.model.diffusion(0.0).tolist() == [[4.0]]
 
 
 @pytest.mark.usefixtures('other_package')

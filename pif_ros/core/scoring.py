@@ -22,7 +22,7 @@ def mahalanobis_squared(errors: Array, covariances: Array) -> Array:
 
 def coverage(errors: Array, covariances: Array, sigmas: float) -> float:
     """Return the share of errors (N, n) within an ellipse of so many sigmas."""
-    return float(np.mean(mahalanobis_squared(errors, covariances) <= sigmas**2))
+    return float(np.mean(mahalanobis_squared(errors, covariances) < sigmas**2))
 
 
 def honest_coverage(sigmas: float, n: int) -> float:

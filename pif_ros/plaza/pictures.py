@@ -19,8 +19,9 @@ from matplotlib.path import Path as MarkerPath
 from matplotlib.patheffects import withStroke
 import numpy as np
 from numpy.typing import NDArray
+from pif_ros.core.scoring import mahalanobis_squared
 from pif_ros.plaza.recording import Recording
-from pif_ros.plaza.report import mahalanobis, Track
+from pif_ros.plaza.report import Track
 from scipy.ndimage import find_objects, label
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
@@ -229,7 +230,7 @@ def _draw_errors(ax: Axes, recording: Recording, name: str, track: Track) -> flo
     """Draw one track's row and return the height that it asks for."""
     t = recording.seconds(track.stamps_ns)
     d = recording.truth_at(track.stamps_ns)[:, :2] - track.means
-    e, m = np.linalg.norm(d, axis=1), np.sqrt(mahalanobis(d, track.covariances))
+    e, m = np.linalg.norm(d, axis=1), np.sqrt(mahalanobis_squared(d, track.covariances))
     sigma = e / np.maximum(m, 1e-9)
     silent = np.flatnonzero(np.diff(t) > 10.0) + 1
     at, reach = np.insert(t, silent, np.nan), np.insert(sigma, silent, np.nan)

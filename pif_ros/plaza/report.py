@@ -7,11 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-#: What the ellipses of one and two sigma hold in two dimensions, 1 - exp(-k^2 / 2).
-HONEST_1_SIGMA = 0.393
-HONEST_2_SIGMA = 0.865
-
+from pif_ros.core.scoring import coverage, honest_coverage, mahalanobis_squared, rmse
 
 @dataclass(frozen=True, eq=False)
 class Track:
@@ -62,21 +58,12 @@ def errors(stamps_ns: ArrayLike, means: ArrayLike, covariances: ArrayLike, truth
     d = np.asarray(truth, dtype=float)[kept][:, :m.shape[1]] - m
     if not (np.all(np.isfinite(d)) and np.all(np.isfinite(P))):
         raise ValueError('expected finite means, covariances and truth')
-    distance, square = np.linalg.norm(d, axis=1), mahalanobis(d, P)
+    distance, square = np.linalg.norm(d, axis=1), mahalanobis_squared(d, P)
     return Scores(
-        count=len(d),
-        rmse=float(np.sqrt(np.mean(distance**2))), median=float(np.median(distance)),
+        count=len(d), rmse=rmse(d), median=float(np.median(distance)),
         percentile_95=float(np.percentile(distance, 95)), maximum=float(distance.max()),
-        coverage_1_sigma=float(np.mean(square < 1.0)),
-        coverage_2_sigma=float(np.mean(square < 4.0)),
+        coverage_1_sigma=coverage(d, P, 1.0), coverage_2_sigma=coverage(d, P, 2.0),
         nees=float(np.mean(square)) / m.shape[1])
-
-
-def mahalanobis(deviations: NDArray[np.float64],
-                covariances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the squared distances d^T P^-1 d of deviations (k, n) with P (k, n, n), (k,)."""
-    whitened = np.linalg.solve(covariances, deviations[..., None])[..., 0]
-    return np.einsum('ki,ki->k', deviations, whitened)
 
 
 def table(rows: Mapping[str, Scores]) -> str:
@@ -90,6 +77,6 @@ def table(rows: Mapping[str, Scores]) -> str:
             f'| {s.maximum:.1f} m | {s.coverage_1_sigma:.2f} | {s.coverage_2_sigma:.2f} '
             f'| {s.nees:.2f} |')
     lines.append(
-        f'| *an honest filter* | | | | | *{HONEST_1_SIGMA:.2f}* | *{HONEST_2_SIGMA:.2f}* '
-        '| *1.00* |')
+        f'| *an honest filter* | | | | | *{honest_coverage(1.0, 2):.2f}* '
+        f'| *{honest_coverage(2.0, 2):.2f}* | *1.00* |')
     return '\n'.join(lines) + '\n'
