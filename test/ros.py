@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+import gc
 import os
 from pathlib import Path
 import signal
@@ -68,20 +69,33 @@ class Graph:
         self.executor = SingleThreadedExecutor(context=self.context)
         self._folder = folder
         self._nodes: list[Node] = []
+        self._refused = False
 
     def close(self) -> None:
         """Take it all down."""
         self.executor.shutdown()
         for node in self._nodes:
             node.destroy_node()
+        if self._refused:
+            # a node that was refused is on the graph for as long as it is in the memory, and
+            # takes the log of the next of its name with it when it goes
+            gc.collect()
         rclpy.try_shutdown(context=self.context)
 
     def filter_node(self, parameters: Mapping[str, Any], *arguments: str) -> FilterNode:
         """Return a filter node that reads parameters from a file, with further ROS arguments."""
         path = write_parameters(self._folder / 'parameters.yaml', parameters)
-        return self.add(FilterNode(
-            context=self.context, use_global_arguments=False,
-            cli_args=['--ros-args', '--params-file', str(path), *arguments]))
+        return self.filter_node_of(path, *arguments)
+
+    def filter_node_of(self, path: Path, *arguments: str) -> FilterNode:
+        """Return a filter node with a parameter file and further ROS arguments."""
+        try:
+            return self.add(FilterNode(
+                context=self.context, use_global_arguments=False,
+                cli_args=['--ros-args', '--params-file', str(path), *arguments]))
+        except Exception:
+            self._refused = True
+            raise
 
     def peer(self, name: str = 'peer') -> Node:
         """Return a node that does nothing yet."""

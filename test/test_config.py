@@ -165,7 +165,7 @@ WRONG = [
 
 
 @pytest.fixture(scope='module')
-def shared(tmp_path_factory):
+def one_graph(tmp_path_factory):
     """Return one graph for all configurations that make no node."""
     graph = Graph(tmp_path_factory.mktemp('graph'))
     yield graph
@@ -174,9 +174,9 @@ def shared(tmp_path_factory):
 
 @pytest.mark.parametrize(('given', 'parameter', 'wanted', 'got'), WRONG)
 def test_a_wrong_configuration_is_refused_in_one_line_with_parameter_wish_and_value(
-        shared, given, parameter, wanted, got):
+        one_graph, given, parameter, wanted, got):
     with pytest.raises(ConfigError) as refused:
-        shared.filter_node(given)
+        one_graph.filter_node(given)
     line = str(refused.value)
     assert '\n' not in line
     blamed, _, rest = line.partition(': expected ')
@@ -192,8 +192,8 @@ def test_there_are_many_wrong_configurations_and_each_is_another():
 
 @pytest.mark.parametrize('base', [SMALL, PLANE, RANGE, LINE],
                          ids=['small', 'plane', 'range', 'line'])
-def test_what_the_wrong_configurations_were_made_from_is_right(shared, base):
-    assert isinstance(shared.filter_node(base), FilterNode)
+def test_what_the_wrong_configurations_were_made_from_is_right(one_graph, base):
+    assert isinstance(one_graph.filter_node(base), FilterNode)
 
 
 def test_a_grid_too_large_for_the_memory_is_refused_before_it_is_made():
@@ -214,9 +214,7 @@ def test_every_file_of_the_package_makes_a_filter(path):
 
 @pytest.mark.parametrize('path', FILES, ids=lambda path: path.stem)
 def test_every_file_of_the_package_says_the_same_to_the_node(graph, path):
-    node = graph.add(FilterNode(context=graph.context, use_global_arguments=False,
-                                cli_args=['--ros-args', '--params-file', str(path)]))
-    assert node.config == Config.from_yaml(path)
+    assert graph.filter_node_of(path).config == Config.from_yaml(path)
 
 
 def test_every_parameter_stands_in_a_file_of_the_package():
@@ -351,9 +349,9 @@ def test_a_system_of_another_package_gets_real_numbers_for_integers(graph):
     ('broken', ['loads', 'ModuleNotFoundError']),
     ('nothing', ['System', 'None']),
     ('number', ['System', '3'])])
-def test_what_is_no_entry_point_of_a_system_is_refused_in_one_line(shared, name, words):
+def test_what_is_no_entry_point_of_a_system_is_refused_in_one_line(one_graph, name, words):
     with pytest.raises(ConfigError, match=rf"^model\.name: expected .*, got '{name}'.*$") as line:
-        shared.filter_node({**LINE, 'model.name': name})
+        one_graph.filter_node({**LINE, 'model.name': name})
     assert all(word in str(line.value) for word in words)
 
 
@@ -364,7 +362,7 @@ def test_a_package_cannot_take_the_name_of_a_system_of_this_one():
 
 
 def test_no_module_is_imported_for_a_name_in_a_parameter(
-        shared, tmp_path, monkeypatch, other_package):
+        one_graph, tmp_path, monkeypatch, other_package):
     imported = SimpleNamespace(names=[])
     (tmp_path / 'evil.py').write_text('raise SystemExit("imported")\n')
     (tmp_path / 'evil').mkdir()
@@ -374,5 +372,5 @@ def test_no_module_is_imported_for_a_name_in_a_parameter(
     for parameter, name in (('model.name', 'evil'), ('measurements.main.type', 'evil/msg/Evil'),
                             ('measurements.main.sensor', 'evil')):
         with pytest.raises(ConfigError, match=f'^{parameter}: '):
-            shared.filter_node({**SMALL, parameter: name})
+            one_graph.filter_node({**SMALL, parameter: name})
     assert imported.names == []

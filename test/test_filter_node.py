@@ -19,6 +19,7 @@ import pytest
 from rcl_interfaces.msg import (
     Log, Parameter as ParameterMessage, ParameterType, ParameterValue)
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.clock import ClockType
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros import DEEP, nanoseconds, Rig, SECOND, stamp_into
@@ -167,13 +168,16 @@ def test_topics_and_services_are_those_of_the_contract(graph, arguments, space, 
     for contract, infos_of in ((TOPICS, rig.peer.get_publishers_info_by_topic),
                                (HEARD, rig.peer.get_subscriptions_info_by_topic)):
         for topic, expected in contract.items():
-            [info] = graph.until(lambda: infos_of(resolved(topic)), f'{topic} is known')
+            # one, also when the node of the test before is forgotten
+            [info] = graph.until(lambda: len(found := infos_of(resolved(topic))) == 1 and found,
+                                 f'{topic} is known')
             assert (info.node_namespace, info.node_name) == (space, name)
             assert (info.topic_type, info.qos_profile.reliability.name,
                     info.qos_profile.durability.name) == expected
-    published = rig.peer.get_publisher_names_and_types_by_node(name, space)
-    assert {topic for topic, _ in published} == {resolved(topic) for topic in TOPICS} | {
-        '/parameter_events', '/rosout'}
+    published = {resolved(topic) for topic in TOPICS} | {'/parameter_events', '/rosout'}
+    graph.until(lambda: published == {
+        topic for topic, _ in rig.peer.get_publisher_names_and_types_by_node(name, space)},
+        f'it publishes {published}')
     offered = dict(rig.peer.get_service_names_and_types_by_node(name, space))
     for service, kind in SERVICES.items():
         assert offered.pop(resolved(service)) == [kind]
@@ -831,6 +835,18 @@ def test_without_simulated_time_the_timer_goes_on_by_itself(graph):
     for pose in rig.poses:
         check_pose(pose, twin.forecast(nanoseconds(pose.header.stamp)))
     check_same(belief(rig), twin.estimate().belief)
+
+
+@pytest.mark.parametrize(('simulated', 'kind'), [
+    (False, ClockType.STEADY_TIME), (True, ClockType.ROS_TIME)])
+def test_the_timer_is_steady_unless_time_is_simulated(graph, simulated, kind):
+    node = graph.filter_node({**PLANE, 'use_sim_time': simulated, 'publish.rate': 4.0})
+    [timer] = node.timers
+    assert (timer.clock.clock_type, timer.timer_period_ns) == (kind, 250 * MS)
+
+
+def test_without_a_rate_there_is_no_timer(graph):
+    assert list(graph.filter_node({**PLANE, 'publish.rate': 0}).timers) == []
 
 
 # Too much, and too bad

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.scoring import coverage, honest_coverage, mahalanobis_squared, rmse
 
+
 @dataclass(frozen=True, eq=False)
 class Track:
     """
