@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 import functools
 import math
 import time
@@ -13,10 +12,12 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 import numpy as np
 from pif_ros import conversions, interface, parameters
 from pif_ros.accounts import Accounts, Throttle
-from pif_ros.config import build_tracker, ConfigError, find_system, state_axes
+from pif_ros.config import build_tracker, ConfigError, find_system
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import Estimate, Measurement
+from pif_ros.outputs import Outputs
+from pif_ros.process import guarded
 from pif_ros.sources import Refused, Source
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockChange, ClockType, JumpThreshold, TimeJump
@@ -35,19 +36,6 @@ SLICE = 32
 LONG_REPLAY = 4
 #: ... but no longer than this, in seconds.
 PATIENCE = 0.2
-
-
-def guarded(callback: Callable[..., Any]) -> Callable[..., Any]:
-    """Keep the node alive whatever a callback meets; the fault is counted and logged."""
-    @functools.wraps(callback)
-    def run(self: FilterNode, *args: Any) -> Any:
-        try:
-            return callback(self, *args)
-        except Exception as error:  # noqa: B902
-            self.faults += 1
-            self.report('fault', f'{callback.__name__}: {type(error).__name__}: {error}')
-            return args[-1] if args else None
-    return run
 
 
 class FilterNode(Node):
@@ -73,8 +61,9 @@ class FilterNode(Node):
         self._burst_since: float | None = None
         self._arrivals = self._arrivals_seen = 0
         self._published_ns = -1
-        self._density_ns: int | None = None
-        self._read_axes()
+        self._live: dict[str, Any] = {'pose.estimator': self.config.pose.estimator,
+                                      'density.rate': self.config.density.rate}
+        self._outputs = Outputs(self, self.config, find_system(self.config).model, self._live)
         self._warm_up()
         self._connect()
 
@@ -112,7 +101,7 @@ class FilterNode(Node):
             if frame not in ('', self.config.frame_id):
                 raise ValueError(f'frame_id: expected {self.config.frame_id!r}, got {frame!r}')
             mean, covariance = conversions.gaussian_from_pose(
-                msg.pose, self._pose_axes, prior.mean(), prior.covariance())
+                msg.pose, self._outputs.pose_axes, prior.mean(), prior.covariance())
             belief = GridBelief.gaussian(prior.grid, mean, covariance)
         except ValueError as error:
             account.rejected['no belief'] += 1
@@ -222,7 +211,7 @@ class FilterNode(Node):
     def _restart(self, belief: GridBelief | None, stamp_ns: int | None) -> None:
         self._drain()
         self._unjudged.clear()
-        self._density_ns = None
+        self._outputs.restart()
         self.tracker.reset(belief, stamp_ns)
 
     # What goes out
@@ -240,28 +229,7 @@ class FilterNode(Node):
             self._restart(None, None)
             return
         self._published_ns = stamp_ns
-        point = belief.mode() if self._live['pose.estimator'] == 'mode' else belief.mean()
-        pose = conversions.pose_message(point, belief.covariance(about=point), self._pose_axes,
-                                        self.config.pose.unestimated_variance)
-        self._pose.publish(conversions.stamped(pose, stamp_ns, self.config.frame_id))
-        if self._pose_unstamped.get_subscription_count():
-            self._pose_unstamped.publish(pose)
-        self._publish_density(belief, stamp_ns)
-
-    def _publish_density(self, belief: GridBelief, stamp_ns: int) -> None:
-        rate = self._live['density.rate']
-        if not rate or (self._density_ns is not None
-                        and stamp_ns < self._density_ns + NANOSECONDS / rate):
-            return
-        self._density_ns = stamp_ns
-        if self._density.get_subscription_count():
-            model, axes = self._model, self._density_axes
-            self._density.publish(conversions.density_message(
-                belief.marginal(axes), [model.names[i] for i in axes],
-                [model.units[i] for i in axes] if model.units else ()))
-        if self._map is not None and self._map.get_subscription_count():
-            self._map.publish(conversions.map_message(
-                belief.marginal(self._plane), stamp_ns, self.config.frame_id))
+        self._outputs.publish(belief, stamp_ns)
 
     def report(self, kind: str, text: str) -> None:
         """Warn of something, at most one line of a kind every few seconds."""
@@ -275,26 +243,14 @@ class FilterNode(Node):
 
     # How it is set up
 
-    def _read_axes(self) -> None:
-        model = self._model = find_system(self.config).model
-        given = self.config.pose.axes or model.names[:2]
-        axes = state_axes('pose.axes', given, model)
-        if len(axes) > len(conversions.POSE_AXES):
-            raise ConfigError(f'pose.axes: expected at most {len(conversions.POSE_AXES)} states, '
-                              f'got {list(given)}')
-        self._pose_axes = axes + (None,) * (len(conversions.POSE_AXES) - len(axes))
-        self._plane = [axis for axis in self._pose_axes[:2] if axis is not None]
-        shown = state_axes('density.axes', self.config.density.axes or model.names, model)
-        if None in shown:
-            raise ConfigError("density.axes: expected names of states, got ''")
-        self._density_axes = [axis for axis in shown if axis is not None]
-        self._live: dict[str, Any] = {'pose.estimator': self.config.pose.estimator,
-                                      'density.rate': self.config.density.rate}
-
     def _warm_up(self) -> None:
         """Do before the first measurement what need not be done at it."""
         began = time.perf_counter()
-        what = self.tracker.filter.describe()
+        try:
+            what = self.tracker.filter.describe()
+        except ValueError as error:
+            section = 'kernel.' if str(error).startswith('weights:') else 'model.name: '
+            raise ConfigError(f'{section}{error}') from None
         self.get_logger().info(f'{self.config.model.name}: {what}, made in '
                                f'{time.perf_counter() - began:.2f} s')
         for remark in self.tracker.filter.remarks():
@@ -309,12 +265,6 @@ class FilterNode(Node):
                                 config.time.max_ahead), known)
         start = interface.INITIAL_POSE
         self.create_subscription(start.type, start.name, self._on_initial_pose, start.qos)
-        self._pose, self._pose_unstamped, self._density = (
-            self.create_publisher(out.type, out.name, out.qos) for out in (
-                interface.POSE, interface.POSE_UNSTAMPED, interface.DENSITY))
-        out = interface.DENSITY_MAP
-        self._map = (self.create_publisher(out.type, out.name, out.qos)
-                     if len(self._plane) == 2 else None)
         for service, callback in ((interface.RESET, self._on_reset),
                                   (interface.GLOBAL, self._on_global)):
             self.create_service(service.type, service.name, callback)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+import functools
 import os
 from pathlib import Path
 import re
 import signal
 import sys
 from types import FrameType
+from typing import Any
 
 import yaml
 
@@ -39,6 +41,24 @@ def logs_to_stdout() -> None:
     """Keep stderr for what is wrong; to be called before rclpy is initialised."""
     os.environ.setdefault('RCUTILS_LOGGING_USE_STDOUT', '1')
     os.environ.setdefault('RCUTILS_LOGGING_BUFFERED_STREAM', '0')
+
+
+def guarded(callback: Callable[..., Any]) -> Callable[..., Any]:
+    """
+    Keep a node alive whatever one of its callbacks meets.
+
+    The fault is counted in the node's faults and told by its report(kind, text); a service answers
+    with its response as it was.
+    """
+    @functools.wraps(callback)
+    def run(self: Any, *args: Any) -> Any:
+        try:
+            return callback(self, *args)
+        except Exception as error:  # noqa: B902
+            self.faults += 1
+            self.report('fault', f'{callback.__name__}: {type(error).__name__}: {error}')
+            return args[-1] if args else None
+    return run
 
 
 def failed(name: str, reason: str, status: int) -> int:

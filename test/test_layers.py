@@ -30,13 +30,14 @@ LAYERS = [
     ['config'],
     ['parameters', 'conversions', 'interface'],
     ['sources', 'reference'],
+    ['outputs'],
     ['filter_node'],
     ['node'],
 ]
 TOP = 'plaza'
 
 #: Who may speak to rclpy, and who of them handles messages.
-SPEAKS_ROS = {'parameters', 'filter_node', 'node', 'interface', 'conversions',
+SPEAKS_ROS = {'parameters', 'outputs', 'filter_node', 'node', 'interface', 'conversions',
               'plaza.player', 'plaza.player_node', 'plaza.recorder', 'plaza.demonstration'}
 HANDLES_MESSAGES = {'conversions', 'interface', 'filter_node',
                     'plaza.player_node', 'plaza.recorder'}
