@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 import functools
 import math
 import time
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-import numpy as np
 from pif_ros import conversions, interface, parameters
 from pif_ros.accounts import Accounts, Throttle
 from pif_ros.config import build_tracker, ConfigError, find_system
@@ -61,6 +61,7 @@ class FilterNode(Node):
         self._burst_since: float | None = None
         self._arrivals = self._arrivals_seen = 0
         self._published_ns = -1
+        self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
         self._live: dict[str, Any] = {'pose.estimator': self.config.pose.estimator,
                                       'density.rate': self.config.density.rate}
         self._outputs = Outputs(self, self.config, find_system(self.config).model, self._live)
@@ -70,9 +71,15 @@ class FilterNode(Node):
     # What comes in
 
     @guarded
-    def _on_measurement(self, source: Source, msg: Any) -> None:
+    def _on_measurement(self, source: Source, msg: Any, info: Mapping[str, Any]) -> None:
         account = self.accounts.sources[source.name]
         account.received += 1
+        lost = source.lost(info['publication_sequence_number'])
+        if lost and self.count_publishers(source.topic) == 1:
+            # several publishers count each for themselves, and which one sent is not told
+            account.received += lost
+            account.dropped += lost
+            self.report('lost', f'{source.name}: the queue in DDS dropped {lost} measurements')
         try:
             measurement = source.measurement(msg, self._now())
         except Refused as refused:
@@ -100,6 +107,11 @@ class FilterNode(Node):
                 raise ValueError('expected a /clock before it')
             if frame not in ('', self.config.frame_id):
                 raise ValueError(f'frame_id: expected {self.config.frame_id!r}, got {frame!r}')
+            stamp_ns = conversions.stamp_to_ns(msg.header.stamp)
+            stamp_ns = stamp_ns if 0 < stamp_ns < now_ns else now_ns
+            if stamp_ns < self._published_ns - self._max_gap_ns:
+                raise ValueError('stamp: expected one at most time.max_gap before the last pose, '
+                                 f'got {stamp_ns / NANOSECONDS} s')
             mean, covariance = conversions.gaussian_from_pose(
                 msg.pose, self._outputs.pose_axes, prior.mean(), prior.covariance())
             belief = GridBelief.gaussian(prior.grid, mean, covariance)
@@ -108,8 +120,7 @@ class FilterNode(Node):
             self.report('initialpose', f'initialpose: {error}')
             return
         account.accepted += 1
-        stamp_ns = conversions.stamp_to_ns(msg.header.stamp)
-        self._restart(belief, stamp_ns if 0 < stamp_ns < now_ns else now_ns)
+        self._restart(belief, stamp_ns)
         self._publish(self.tracker.estimate())
 
     @guarded
@@ -173,6 +184,7 @@ class FilterNode(Node):
     def _drain(self) -> None:
         while self._queue:
             measurement = self._queue.popleft()
+            self._bridge(measurement)
             rejection = self.tracker.observe(measurement)
             if rejection is None:
                 self.accounts.sources[measurement.source].accepted += 1
@@ -182,6 +194,16 @@ class FilterNode(Node):
                 self._reject(measurement.source, rejection.value,
                              f'{rejection.value}, {behind / NANOSECONDS:.3f} s behind the newest')
 
+    def _bridge(self, measurement: Measurement) -> None:
+        """Begin anew where a gap is so long that predicting through it would take for ever."""
+        newest_ns = self.tracker.stamp_ns
+        if newest_ns is not None and measurement.stamp_ns - newest_ns > self._max_gap_ns:
+            gap = (measurement.stamp_ns - newest_ns) / NANOSECONDS
+            self.report('gap', f'{measurement.source}: a gap of {gap:.0f} s, more than '
+                        'time.max_gap: back to the prior')
+            self._unjudged.clear()
+            self.tracker.reset()
+
     def _judge(self) -> None:
         """Count and tell which of the new measurements the belief hardly allows, or not at all."""
         for measurement in self._unjudged:
@@ -189,9 +211,7 @@ class FilterNode(Node):
             if log_evidence is None:
                 continue
             sensor = self.tracker.filter.sensors[measurement.source]
-            hit = np.zeros(sensor.size)
-            surprise = log_evidence - float(sensor.log_likelihood(
-                hit, hit[:, None], measurement.stamp_ns / NANOSECONDS)[0])
+            surprise = log_evidence - sensor.log_peak(measurement.stamp_ns / NANOSECONDS)
             if surprise < OUTLIER:
                 self.accounts.sources[measurement.source].outliers += 1
                 self.report(f'{measurement.source}: outlier', f'{measurement.source}: ' + (

@@ -40,6 +40,16 @@ class Source:
         except ValueError as error:
             raise ConfigError(f'measurements.{name}.fields: {error}') from None
         self._stamped = conversions.has_header(self.type)
+        self._newest: int | None = None
+
+    def lost(self, number: int | None) -> int:
+        """
+        Return how many messages never came since the last one, by their publisher's count.
+
+        None where the middleware does not count; a smaller number is that of a new publisher.
+        """
+        newest, self._newest = self._newest, number
+        return 0 if newest is None or number is None else max(number - newest - 1, 0)
 
     def measurement(self, msg: Any, now_ns: int | None) -> Measurement:
         """Return the measurement in a message that arrives now; Refused where it is none."""

@@ -30,6 +30,7 @@ from std_srvs.srv import Empty, Trigger
 #: A time long ago, so that no stamp near it is ahead of the clock and no timer forecasts from it.
 T = 1_000 * SECOND
 MS = 1_000_000
+INFO = {'publication_sequence_number': None}
 
 PLANE = {
     'model.name': 'position_2d', 'model.params.diffusion': 0.5,
@@ -889,7 +890,7 @@ def test_a_full_queue_drops_the_oldest_and_counts_it(graph):
     [heard] = [s for s in rig.node.subscriptions if s.topic_name == '/fix']
     measurements = [(T + i * MS, 0.1 * i, 0.0) for i in range(8)]
     for measurement in measurements:
-        heard.callback(fix(*measurement))
+        heard.callback(fix(*measurement), INFO)
         check_balance(rig)
     account = rig.node.accounts.sources['main']
     assert (account.received, account.accepted, account.dropped) == (8, 0, 3)
@@ -908,9 +909,9 @@ def test_a_drop_is_counted_where_the_oldest_came_from(graph):
         'geometry_msgs/msg/PointStamped', 'measurements.other.fields': ['point.x', 'point.y'],
         'measurements.other.params.sigma': 0.3})
     heard = {s.topic_name: s.callback for s in rig.node.subscriptions}
-    heard['/other'](fix(T, 0.0, 0.0))
+    heard['/other'](fix(T, 0.0, 0.0), INFO)
     for i in range(2):
-        heard['/fix'](fix(T + i * MS, 0.0, 0.0))
+        heard['/fix'](fix(T + i * MS, 0.0, 0.0), INFO)
     assert rig.node.accounts.sources['other'].dropped == 1
     assert rig.node.accounts.sources['main'].dropped == 0
     check_balance(rig)
@@ -971,3 +972,60 @@ def test_a_fault_while_a_measurement_is_read_is_accounted_for_too(graph, monkeyp
     check_balance(rig)
     follow(rig, track()[1:])
     check_same(belief(rig), library(measurements=track()).estimate().belief)
+
+
+# Gaps and losses
+
+
+def test_a_gap_beyond_the_longest_begins_anew_with_a_line(graph):
+    rig = Rig(graph, PLANE)
+    follow(rig, track())
+    now = time.time_ns()
+    follow(rig, [(now, 0.2, 0.3)])
+    rig.line('gap', 'time.max_gap', 'prior')
+    check_same(belief(rig), library(measurements=[(now, 0.2, 0.3)]).estimate().belief)
+    check_healthy(rig)
+
+
+def test_a_gap_within_the_longest_is_predicted_through(graph):
+    rig = Rig(graph, PLANE)
+    across = [*track(), (track()[-1][0] + 599 * SECOND, 0.2, 0.3)]
+    follow(rig, across)
+    check_same(belief(rig), library(measurements=across).estimate().belief)
+
+
+def test_an_initial_pose_of_long_ago_is_refused(graph):
+    rig = Rig(graph, PLANE)
+    follow(rig, [(time.time_ns(), 0.2, 0.3)])
+    before = belief(rig)
+    rig.send('initialpose', start(stamp_ns=SECOND))
+    rig.line('initialpose: stamp: expected', 'time.max_gap', 'got 1.0 s')
+    check_same(belief(rig), before)
+
+
+def test_what_the_queue_in_dds_drops_is_counted(graph):
+    rig = Rig(graph, {**PLANE, 'measurements.queue_length': 10})
+    follow(rig, track(1))
+    for i in range(1, 101):
+        rig.send('fix', fix(T + i * MS, 0.0, 0.0))
+    rig.pose_at(T + 100 * MS)
+    account = rig.node.accounts.sources['main']
+    assert account.received == 101
+    assert account.accepted + account.dropped == 101 and account.dropped > 0
+    rig.line('main', 'DDS')
+    check_healthy(rig)
+
+
+def test_two_publishers_of_one_source_are_no_loss(graph):
+    rig = Rig(graph, PLANE)
+    other = rig.peer.create_publisher(PointStamped, 'fix', DEEP)
+    graph.until(other.get_subscription_count)
+    for i in range(50):
+        other.publish(fix(T + i * MS, 0.0, 0.0))
+    rig.handled(50)
+    for i in range(50, 60):
+        rig.send('fix', fix(T + i * MS, 0.0, 0.0))
+        other.publish(fix(T + i * MS, 0.1, 0.0))
+    rig.handled(70)
+    account = rig.node.accounts.sources['main']
+    assert (account.received, account.accepted, account.dropped) == (70, 70, 0)

@@ -143,6 +143,8 @@ class TimeConfig:
     max_ahead: float = parameter(1.0, DURATION, 'how far a stamp may be ahead of the clock', 's')
     max_forecast: float = parameter(60.0, DURATION, 'how far beyond the newest measurement the '
                                     'pose is predicted', 's')
+    max_gap: float = parameter(600.0, DURATION, 'longest gap between measurements that is '
+                               'predicted through; after a longer one the prior holds again', 's')
 
 
 @dataclass(frozen=True)

@@ -121,15 +121,18 @@ class Sensor:
     def log_likelihood(self, y: ArrayLike, expected: Array, t: float = 0.0) -> Array:
         """Return log p(y | h) for expected measurements h (m, ...)  [Sensors, Eq. 8]."""
         v, R = self.residual(y, expected), self.noise(t)
-        constant = -0.5 * float(len(R) * np.log(2 * np.pi) + np.linalg.slogdet(R)[1])
         if len(R) == 1:
             square = v[0] * v[0]
             square *= -0.5 / R[0, 0]
         else:
             whitened = np.tensordot(np.linalg.inv(np.linalg.cholesky(R)), v, axes=1)
             square = -0.5 * np.einsum('i...,i...->...', whitened, whitened)
-        square += constant
+        square += self.log_peak(t)
         return square
+
+    def log_peak(self, t: float) -> float:
+        """Return the log likelihood of a measurement that is just as expected."""
+        return -0.5 * float(np.linalg.slogdet(2 * np.pi * self.noise(t))[1])
 
     def jacobian(self, x: Array, t: float) -> Array:
         """Return dh_i/dx_j at states (n, ...) by central differences, shape (m, n, ...)."""

@@ -112,3 +112,11 @@ def test_a_state_model_refuses_noise_that_does_not_fit_its_states_or_is_none(fie
                               **fields})
         grid = Grid((0, 0), (4, 4), (4, 4))
         dirac_feynman(model, grid, KernelSettings(1.0)) @ GridBelief.uniform(grid).density.ravel()
+
+
+def test_no_measurement_is_likelier_than_the_one_expected():
+    R = np.array([[2.0, 0.7], [0.7, 1.0]])
+    sensor = Sensor(lambda x, t: x, lambda t: R * t)
+    # the peak of a Gaussian of two dimensions is 1 / (2 pi sqrt(det R))
+    assert sensor.log_peak(3.0) == pytest.approx(
+        -np.log(2 * np.pi * np.sqrt(np.linalg.det(3 * R))), rel=1e-12)

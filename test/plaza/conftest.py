@@ -1,7 +1,6 @@
 """A recording for every test, and a ROS context of its own for those that need one."""
 
 from collections.abc import Callable, Iterator
-import os
 from pathlib import Path
 
 from pif_ros.plaza.player_node import Spin
@@ -35,17 +34,7 @@ def plaza(synthetic_file: Path) -> Recording:
 
 
 @pytest.fixture
-def ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Keep ROS on this machine, in a domain of this process, its logs out of the way."""
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(1 + os.getpid() % 101))
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path))
-    monkeypatch.setenv('ROS_PYTHON_CHECK_FIELDS', '1')
-    yield
-
-
-@pytest.fixture
-def spinner(ros: None) -> Iterator[Callable[..., Spin]]:
+def spinner() -> Iterator[Callable[..., Spin]]:
     """Return what makes a spin(timeout) for some nodes; they are gone after the test."""
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()

@@ -25,7 +25,6 @@ def demo(*arguments: str, program: Sequence[str] = ('-m', 'pif_ros.plaza.demo'),
                             stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
-@pytest.mark.usefixtures('ros')
 def test_the_real_node_finds_the_mower_from_a_uniform_prior(
         synthetic_file: Path, tmp_path: Path) -> None:
     process = demo('--out', str(tmp_path / 'out'), '--path', str(synthetic_file))
@@ -44,7 +43,6 @@ def test_the_real_node_finds_the_mower_from_a_uniform_prior(
     assert 'recording 100 %' in errors and 'ended by SIGINT with status 0' in errors
 
 
-@pytest.mark.usefixtures('ros')
 def test_where_the_filter_fails_its_words_are_repeated_and_the_status_is_1(
         synthetic_file: Path, tmp_path: Path) -> None:
     process = demo('--out', str(tmp_path), '--path', str(synthetic_file),
@@ -55,7 +53,6 @@ def test_where_the_filter_fails_its_words_are_repeated_and_the_status_is_1(
     assert process.returncode == 1
 
 
-@pytest.mark.usefixtures('ros')
 def test_a_signal_ends_it_and_the_node(synthetic_file: Path, tmp_path: Path) -> None:
     process = demo('--out', str(tmp_path), '--path', str(synthetic_file), '--speed', '10')
     for line in process.stderr:
@@ -66,7 +63,6 @@ def test_a_signal_ends_it_and_the_node(synthetic_file: Path, tmp_path: Path) -> 
     assert 'stopped; beacon_0' in (tmp_path / 'filter_node.log').read_text()
 
 
-@pytest.mark.usefixtures('ros')
 @pytest.mark.parametrize(('arguments', 'reason'), [
     (['--path', '/absent.mat'], 'plaza_demo: no such recording: /absent.mat\n'),
     (['--start', '1e6'], 'plaza_demo: no range of Plaza1 arrives between 1e+06 s and the end\n'),

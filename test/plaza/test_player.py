@@ -132,7 +132,6 @@ def test_two_processes_lose_nothing(
         small.range_stamps_ns.tolist())
 
 
-@pytest.mark.usefixtures('ros')
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_status_0_and_not_a_word(
         synthetic_file: Path, number: signal.Signals) -> None:
@@ -143,7 +142,6 @@ def test_a_signal_ends_it_with_status_0_and_not_a_word(
     assert (process.wait(10.0), process.stderr.read()) == (0, '')
 
 
-@pytest.mark.usefixtures('ros')
 @pytest.mark.parametrize(('argument', 'line'), [
     ('speed:=-1.0', "plaza_player: parameter 'speed': expected a number of at least 0, got -1.0"),
     ('sped:=1.0', "plaza_player: parameter 'sped': expected one of recording, path, speed, "
