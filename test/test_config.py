@@ -244,7 +244,7 @@ INTEGERS = {
     'prior.covariance_diagonal': [10, 9], 'kernel.time_step': 1, 'kernel.r': 1,
     'pose.unestimated_variance': 2, 'publish.rate': 10, 'density.rate': 2, 'time.history': 3,
     'time.history_memory': 100, 'time.max_ahead': 2, 'time.max_forecast': 30,
-    'time.max_gap': 60,
+    'time.max_gap': 60, 'kernel.noise_inflation': 1,
     'model.params.sigma_x': 1, 'model.params.sigma_y': 2}
 
 

@@ -93,7 +93,7 @@ def _kernel(config: Config) -> KernelSettings:
     kernel = config.kernel
     with _named('kernel'):
         return KernelSettings(kernel.time_step, kernel.r, kernel.jacobian, kernel.extent,
-                              kernel.weights, kernel.tolerance)
+                              kernel.weights, kernel.tolerance, kernel.noise_inflation)
 
 
 def _prior(config: Config, grid: Grid) -> GridBelief:

@@ -78,6 +78,8 @@ class KernelConfig:
     weights: str = parameter('auto', one_of('auto', 'sampled', 'moments'), 'density at the '
                              "cells' centres, or exact moments where the noise is thin")
     tolerance: float = parameter(1e-5, POSITIVE, "share of a step's tail that is left out")
+    noise_inflation: float = parameter(0.0, NOT_NEGATIVE, "alpha of the papers' way with thin "
+                                       "noise, g = alpha dx instead of the model's; 0: none")
 
 
 @dataclass(frozen=True)

@@ -714,3 +714,18 @@ def test_a_drift_that_is_undefined_somewhere_is_refused_and_swallows_no_mass(sig
     with pytest.raises(ValueError, match='^drift: expected finite numbers.* got'):
         dirac_feynman(model_of(drift, [[sigma]]), Grid((-4.5,), (4.5,), (9,)),
                       KernelSettings(1.0, r=0))
+
+
+@pytest.mark.parametrize('weights', ['auto', 'moments'])
+def test_inflated_noise_spreads_a_step_by_the_square_root_of_alpha_dx_eps(weights):
+    # [Sensors, 4.3 and example 1], read so that g_eff = alpha dx; unlike axes, correlated noise
+    grid = Grid((0, 0), (40, 10), (40, 40))
+    model = StateModel(('a', 'b'), lambda x, t: np.zeros_like(x), [[0.001, 0], [0.001, 0.001]])
+    settings = KernelSettings(0.5, weights=weights, noise_inflation=3.0)
+    mass, mean, spread = column_moments(dirac_feynman(model, grid, settings), grid)
+    middle = 20 * 40 + 20
+    assert mass[middle] == pytest.approx(1, abs=1e-12)
+    np.testing.assert_allclose(mean[:, middle], 0, atol=1e-12)
+    # a tail of 1e-5 is left out, which holds 1.3e-4 of a variance
+    np.testing.assert_allclose(spread[..., middle], 0.5 * 3.0 * np.diag([1.0, 0.25]),
+                               rtol=1e-3, atol=1e-12)

@@ -23,7 +23,8 @@ class KernelSettings:
     exp(-r eps div f); extent: largest move in cells on each axis, 0 for as wide as the kernel
     needs; weights: 'sampled' takes the density at the cell centres, 'moments' keeps mass, mean and
     covariance however thin the noise is against a cell, 'auto' chooses by the noise; tolerance:
-    the share of a Gaussian's tail that is left out.  Raises ValueError for what makes no kernel.
+    the share of a Gaussian's tail that is left out; noise_inflation: alpha of the papers' way with
+    thin noise, which takes g = alpha dx on each axis for the model's own, 0 for none.  Raises ValueError for what makes no kernel.
     """
 
     time_step: float
@@ -32,6 +33,7 @@ class KernelSettings:
     extent: int = 0
     weights: str = 'auto'
     tolerance: float = 1e-5
+    noise_inflation: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what makes no kernel."""
@@ -44,7 +46,9 @@ class KernelSettings:
                 ('extent', 'a number of cells, 0 or more', self.extent >= 0),
                 ('weights', "'auto', 'sampled' or 'moments'",
                  self.weights in ('auto', 'sampled', 'moments')),
-                ('tolerance', 'a number from 1e-12 to 0.1', 1e-12 <= self.tolerance <= 0.1)):
+                ('tolerance', 'a number from 1e-12 to 0.1', 1e-12 <= self.tolerance <= 0.1),
+                ('noise_inflation', 'a number, 0 or more',
+                 0 <= self.noise_inflation < math.inf)):
             if not holds:
                 raise ValueError(f'{name}: expected {wanted}, got {getattr(self, name)!r}')
 

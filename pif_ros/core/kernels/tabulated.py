@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import dataclasses
 import math
 
 import numpy as np
@@ -27,6 +28,7 @@ def dirac_feynman(model: StateModel, grid: Grid, settings: KernelSettings,
     missing from it, and a periodic axis wraps.  Raises ValueError where 'sampled' weights are
     asked for a singular diffusion matrix.
     """
+    model = _inflated(model, grid, settings)
     parts = [_tabulated(grid, stencil, cells, settings.extent)
              for stencil, cells in choose_stencils(model, grid, settings, t)]
     kernel = parts[0] if len(parts) == 1 else parts[0] + parts[1]
@@ -38,11 +40,23 @@ def dirac_feynman(model: StateModel, grid: Grid, settings: KernelSettings,
 def stored_elements(model: StateModel, grid: Grid, settings: KernelSettings,
                     t: float = 0.0) -> float:
     """Return about how many weights a kernel holds, from the noise alone, without making it."""
-    variance = variance_in_cells(model, grid, settings, t)
+    variance = variance_in_cells(_inflated(model, grid, settings), grid, settings, t)
     n, widths = grid.ndim, np.sqrt(np.diag(variance))
     radii = reach(settings.tolerance, n) * widths + 0.5
     ball = math.pi**(n / 2) / math.gamma(n / 2 + 1) * float(np.prod(radii))
     return grid.size * max(ball, 3.0**n)
+
+
+def _inflated(model: StateModel, grid: Grid, settings: KernelSettings) -> StateModel:
+    """
+    Return the model with the noise that the settings ask for  [Sensors, section 4.3].
+
+    g = alpha dx: a step's standard deviation is sqrt(alpha dx eps).
+    """
+    if not settings.noise_inflation:
+        return model
+    return dataclasses.replace(model, noise_covariance=None, vielbein=np.diag(
+        np.sqrt(settings.noise_inflation * grid.spacing)))
 
 
 def _tabulated(grid: Grid, stencil: Stencil, cells: Integers, extent: int) -> sparse.csc_array:
