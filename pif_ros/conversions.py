@@ -63,6 +63,18 @@ def has_header(message: Any) -> bool:
     return message.get_fields_and_field_types().get('header') == 'std_msgs/Header'
 
 
+def is_range(message: Any, fields: Sequence[str]) -> bool:
+    """Return whether what is read of a message of this class is a sensor_msgs/Range's range."""
+    return (message.__name__ == 'Range' and 'range' in fields
+            and {'min_range', 'max_range'} <= set(message.get_fields_and_field_types()))
+
+
+def in_range(msg: Any) -> bool:
+    """Return whether a Range saw something: within its limits if it has any, and not below 0."""
+    limited = msg.max_range > msg.min_range
+    return bool(msg.min_range <= msg.range <= msg.max_range if limited else msg.range >= 0)
+
+
 def field_reader(message: Any, paths: Sequence[str]) -> Callable[[Any], tuple[float, ...]]:
     """
     Return a function that reads the numbers at some paths of a message of this class.

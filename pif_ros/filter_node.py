@@ -15,7 +15,7 @@ from pif_ros.accounts import Accounts, Throttle
 from pif_ros.config import build_tracker, ConfigError, find_system
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import NANOSECONDS
-from pif_ros.core.tracker import Estimate, Measurement
+from pif_ros.core.tracker import CorrectionFailed, Estimate, Measurement
 from pif_ros.outputs import Outputs
 from pif_ros.process import guarded
 from pif_ros.sources import Refused, Source
@@ -30,6 +30,8 @@ from std_srvs.srv import Empty, Trigger
 #: The belief hardly allows a measurement whose likelihood, averaged over the belief, is less than
 #: that of ten standard deviations.
 OUTLIER = -0.5 * 10**2
+#: Replays that have not come to an end for so long, in seconds, take no more late measurements.
+OVERLOAD = 5.0
 #: So many corrections of a replay are made before signals, services and messages have their turn.
 SLICE = 32
 #: A replay of more corrections than this waits until a burst of late measurements has ended ...
@@ -57,7 +59,8 @@ class FilterNode(Node):
         self.faults = 0
         self._throttle = Throttle()
         self._queue: deque[Measurement] = deque()
-        self._unjudged: list[Measurement] = []
+        self._unjudged: set[Measurement] = set()
+        self._behind_since: float | None = None
         self._burst_since: float | None = None
         self._arrivals = self._arrivals_seen = 0
         self._published_ns = -1
@@ -75,13 +78,15 @@ class FilterNode(Node):
         account = self.accounts.sources[source.name]
         account.received += 1
         lost = source.lost(info['publication_sequence_number'])
-        if lost and self.count_publishers(source.topic) == 1:
+        topic = self.resolve_topic_name(source.topic)
+        if lost and self.count_publishers(topic) == 1:
             # several publishers count each for themselves, and which one sent is not told
             account.received += lost
             account.dropped += lost
-            self.report('lost', f'{source.name}: the queue in DDS dropped {lost} measurements')
+            self.report(f'{source.name}: DDS',
+                        f'{source.name}: the queue in DDS dropped {lost} measurements')
         try:
-            measurement = source.measurement(msg, self._now())
+            measurement = source.measurement(msg, self._now(), self._arrival(info))
         except Refused as refused:
             self._reject(source.name, refused.reason, str(refused))
             return
@@ -154,18 +159,29 @@ class FilterNode(Node):
 
     @guarded
     def _work(self) -> None:
-        self._drain()
+        self.drain()
         if self.tracker.backlog > LONG_REPLAY and self._burst_goes_on():
             self._wake.trigger()
             return
         self._burst_since = None
         if not self.tracker.backlog:
             return
-        estimate = self.tracker.estimate(at_most=SLICE)
-        if self.tracker.backlog:
+        try:
+            estimate = self.tracker.estimate(at_most=SLICE)
+        except CorrectionFailed as failed:
+            self._wake.trigger()
+            account = self.accounts.sources[failed.measurement.source]
+            account.accepted -= 1
+            account.rejected['fault'] += 1
+            self._unjudged.discard(failed.measurement)
+            raise
+        finally:
+            self._judge()
+        if self.tracker.backlog or self._queue:
+            self._behind_since = self._behind_since or time.monotonic()
             self._wake.trigger()
             return
-        self._judge()
+        self._behind_since = None
         self._publish(estimate)
 
     @guarded
@@ -181,18 +197,29 @@ class FilterNode(Node):
         if now_ns > self._published_ns:
             self._publish(self.tracker.forecast(now_ns))
 
-    def _drain(self) -> None:
-        while self._queue:
+    def drain(self) -> None:
+        """Put what waits in the queue where it belongs, as far as the work can take it."""
+        while self._queue and self.tracker.backlog < self.config.measurements.queue_length:
             measurement = self._queue.popleft()
+            if self._is_overload(measurement):
+                self._reject(measurement.source, 'overload', 'late, and the replays of late ones '
+                             f'have not come to an end for {OVERLOAD:g} s')
+                continue
             self._bridge(measurement)
             rejection = self.tracker.observe(measurement)
             if rejection is None:
                 self.accounts.sources[measurement.source].accepted += 1
-                self._unjudged.append(measurement)
+                self._unjudged.add(measurement)
             else:
                 behind = (self.tracker.stamp_ns or 0) - measurement.stamp_ns
                 self._reject(measurement.source, rejection.value,
                              f'{rejection.value}, {behind / NANOSECONDS:.3f} s behind the newest')
+
+    def _is_overload(self, measurement: Measurement) -> bool:
+        """Return whether a late measurement would keep replays going that never end."""
+        newest_ns, since = self.tracker.stamp_ns, self._behind_since
+        return (since is not None and time.monotonic() - since > OVERLOAD
+                and newest_ns is not None and measurement.stamp_ns < newest_ns)
 
     def _bridge(self, measurement: Measurement) -> None:
         """Begin anew where a gap is so long that predicting through it would take for ever."""
@@ -206,10 +233,10 @@ class FilterNode(Node):
 
     def _judge(self) -> None:
         """Count and tell which of the new measurements the belief hardly allows, or not at all."""
-        for measurement in self._unjudged:
-            log_evidence = self.tracker.log_evidence(measurement)
-            if log_evidence is None:
+        for measurement, log_evidence in self.tracker.corrections:
+            if measurement not in self._unjudged:
                 continue
+            self._unjudged.remove(measurement)
             sensor = self.tracker.filter.sensors[measurement.source]
             surprise = log_evidence - sensor.log_peak(measurement.stamp_ns / NANOSECONDS)
             if surprise < OUTLIER:
@@ -219,7 +246,7 @@ class FilterNode(Node):
                     if surprise == -math.inf else 'a measurement about '
                     f'{math.sqrt(-2 * surprise):.0f} standard deviations from all that is believed'
                 ))
-        self._unjudged.clear()
+        self.tracker.corrections.clear()
 
     def _burst_goes_on(self) -> bool:
         """Return whether measurements still arrive; a replay is best made once, after them."""
@@ -229,7 +256,7 @@ class FilterNode(Node):
         return arriving and now - self._burst_since < PATIENCE
 
     def _restart(self, belief: GridBelief | None, stamp_ns: int | None) -> None:
-        self._drain()
+        self.drain()
         self._unjudged.clear()
         self._outputs.restart()
         self.tracker.reset(belief, stamp_ns)
@@ -245,7 +272,7 @@ class FilterNode(Node):
             estimate = self.tracker.forecast(stamp_ns)
         belief = estimate.belief
         if not belief.mass > 0:
-            self.report('lost', 'all of the belief has left the grid: back to the prior')
+            self.report('off the grid', 'all of the belief has left the grid: back to the prior')
             self._restart(None, None)
             return
         self._published_ns = stamp_ns
@@ -273,8 +300,20 @@ class FilterNode(Node):
             raise ConfigError(f'{section}{error}') from None
         self.get_logger().info(f'{self.config.model.name}: {what}, made in '
                                f'{time.perf_counter() - began:.2f} s')
-        for remark in self.tracker.filter.remarks():
+        for remark in [*self.tracker.filter.remarks(), *self._speed()]:
             self.get_logger().warning(remark)
+
+    def _speed(self) -> list[str]:
+        """Return a sentence where prediction is slower than time."""
+        filter_, step = self.tracker.filter, self.config.kernel.time_step
+        needed = []
+        for _ in range(3):
+            began = time.perf_counter()
+            filter_.predict(self.tracker.prior, 0, filter_.time_step_ns)
+            needed.append(time.perf_counter() - began)
+        return [] if min(needed) < step / 2 else [
+            f'kernel.time_step: a step of {step:g} s takes {min(needed):.2g} s to compute: the '
+            'filter cannot keep up; take a longer step or a coarser grid']
 
     def _connect(self) -> None:
         config = self.config
@@ -312,6 +351,12 @@ class FilterNode(Node):
             raise ConfigError(f'measurements.{source.name}.topic: expected a topic for messages '
                               f'of type {source.type.__name__}, got {source.topic!r} '
                               f'({str(error).splitlines()[0]})') from None
+
+    def _arrival(self, info: Mapping[str, Any]) -> int | None:
+        """Return when a message arrived, None where the node does not live in that time."""
+        if self.get_parameter('use_sim_time').value:
+            return None
+        return info.get('received_timestamp') or None
 
     def _now(self) -> int | None:
         """Return the time in nanoseconds, None before there is a /clock."""

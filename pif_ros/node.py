@@ -43,6 +43,7 @@ def main(args: Sequence[str] | None = None) -> int:
             executor.spin_once(timeout_sec=0.1)
         except Exception as error:  # noqa: B902  a peer's request can make rclpy itself raise
             node.report('rclpy', f'rclpy: {type(error).__name__}: {error}')
+    node.drain()
     node.get_logger().info(f'stopped; {node.accounts}')
     executor.shutdown()
     node.destroy_node()

@@ -91,7 +91,8 @@ def strangers(arguments: Sequence[str], name: str) -> str | None:
     for path in params_files(arguments):
         tree = yaml.load(Path(path).read_bytes(), Loader=yaml.BaseLoader)
         found |= set(tree) if isinstance(tree, dict) else set()
-    if not found or any('*' in str(key) for key in found):
+    addressed = found & {name, name.lstrip('/')} or any('*' in str(key) for key in found)
+    if addressed or not found:
         return None
     return (f'--params-file: expected parameters for the node {name}, '
             f'got some for {", ".join(map(str, sorted(found)))} only')

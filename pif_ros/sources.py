@@ -40,6 +40,7 @@ class Source:
         except ValueError as error:
             raise ConfigError(f'measurements.{name}.fields: {error}') from None
         self._stamped = conversions.has_header(self.type)
+        self._is_range = conversions.is_range(self.type, config.fields)
         self._newest: int | None = None
 
     def lost(self, number: int | None) -> int:
@@ -51,8 +52,13 @@ class Source:
         newest, self._newest = self._newest, number
         return 0 if newest is None or number is None else max(number - newest - 1, 0)
 
-    def measurement(self, msg: Any, now_ns: int | None) -> Measurement:
-        """Return the measurement in a message that arrives now; Refused where it is none."""
+    def measurement(self, msg: Any, now_ns: int | None,
+                    arrived_ns: int | None = None) -> Measurement:
+        """
+        Return the measurement in a message; Refused where it is none.
+
+        One without a header holds at its arrival, now where that is not known.
+        """
         if now_ns is None:
             raise Refused('no clock', 'expected a /clock before the first measurement')
         try:
@@ -64,11 +70,14 @@ class Source:
             raise Refused('wrong length', f'expected {self._size} numbers, got {len(values)}')
         if not all(map(math.isfinite, values)):
             raise Refused('not finite', f'expected finite numbers, got {list(values)}')
-        return Measurement(self._stamp(msg, now_ns), self.name, values)
+        if self._is_range and not conversions.in_range(msg):
+            raise Refused('out of range', f'expected a range from {msg.min_range:g} to '
+                          f'{msg.max_range:g}, got {msg.range:g}')
+        return Measurement(self._stamp(msg, now_ns, arrived_ns), self.name, values)
 
-    def _stamp(self, msg: Any, now_ns: int) -> int:
+    def _stamp(self, msg: Any, now_ns: int, arrived_ns: int | None) -> int:
         if not self._stamped:
-            return now_ns
+            return now_ns if arrived_ns is None else min(arrived_ns, now_ns)
         stamp_ns = conversions.stamp_to_ns(msg.header.stamp)
         if stamp_ns <= 0:
             raise Refused('no stamp', f'expected a stamp after 0, got {stamp_ns / NANOSECONDS} s')

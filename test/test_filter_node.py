@@ -1029,3 +1029,54 @@ def test_two_publishers_of_one_source_are_no_loss(graph):
     rig.handled(70)
     account = rig.node.accounts.sources['main']
     assert (account.received, account.accepted, account.dropped) == (70, 70, 0)
+
+
+def test_a_sensor_that_raises_costs_its_measurement_and_no_other(graph):
+    rig = Rig(graph, PLANE)
+    follow(rig, track(3))
+    sensor = rig.node.tracker.filter._likelihoods['main']
+    healthy = type(sensor).log
+
+    class Moody(type(sensor)):
+        def log(self, y, density, t):
+            if y[0] == 7.5:
+                raise ArithmeticError('such a number')
+            return healthy(self, y, density, t)
+
+    rig.node.tracker.filter._likelihoods['main'] = Moody(
+        sensor.grid, sensor.sensor, sensor.average_cells)
+    rig.send('fix', fix(track(3)[-1][0] + MS, 7.5, 0.0))
+    account = rig.node.accounts.sources['main']
+    graph.until(lambda: account.rejected['fault'], 'a fault that is counted')
+    later = (track(3)[-1][0] + 2 * MS, 0.3, 0.1)
+    follow(rig, [later])
+    check_same(belief(rig), library(measurements=[*track(3), later]).estimate().belief)
+    assert (account.received, account.accepted) == (5, 4)
+    check_balance(rig)
+
+
+def test_replays_that_never_end_take_no_more_late_measurements(graph):
+    rig = Rig(graph, {**PLANE, 'time.history': 5.0})
+    follow(rig, track(3))
+    # as after five seconds of replays, each overtaken by the next late measurement
+    rig.node._behind_since = time.monotonic() - 6
+    [heard] = [s for s in rig.node.subscriptions if s.topic_name == '/fix']
+    newest = track(3)[-1][0]
+    heard.callback(fix(newest - MS, 0.0, 0.0), INFO)
+    heard.callback(fix(newest + MS, 0.0, 0.0), INFO)
+    rig.node.drain()
+    account = rig.node.accounts.sources['main']
+    assert account.rejected == {'overload': 1} and account.accepted == 4
+    check_balance(rig)
+
+
+def test_a_remapped_source_still_counts_what_dds_drops(graph):
+    rig = Rig(graph, {**PLANE, 'measurements.queue_length': 10}, '-r', 'fix:=/elsewhere')
+    rig.send('/elsewhere', fix(T, 0.0, 0.0))
+    rig.pose_at(T)
+    for i in range(1, 101):
+        rig.send('/elsewhere', fix(T + i * MS, 0.0, 0.0))
+    rig.pose_at(T + 100 * MS)
+    account = rig.node.accounts.sources['main']
+    assert account.received == 101 and account.dropped > 0
+    check_balance(rig)

@@ -126,3 +126,9 @@ def test_a_file_that_is_empty_or_for_every_node_is_no_strangers(tmp_path, text):
 
 def test_without_a_parameter_file_there_are_no_strangers():
     assert strangers(['--ros-args', '-p', 'frame_id:=map'], '/filter_node') is None
+
+
+def test_a_file_for_this_node_is_no_strangers_even_if_it_says_little(tmp_path):
+    path = tmp_path / 'only.yaml'
+    path.write_text('/filter_node: {ros__parameters: {use_sim_time: false}}\n', encoding='utf-8')
+    assert strangers(['--params-file', str(path)], '/filter_node') is None

@@ -127,3 +127,25 @@ def test_fields_that_a_type_has_not_are_blamed_on_the_fields():
     with pytest.raises(ConfigError, match=r'^measurements\.main\.fields: expected .*position.*, '
                                           r"got 'positon'$"):
         source('sensor_msgs/msg/JointState', 'positon')
+
+
+def test_a_message_without_a_header_holds_when_it_arrived_not_when_it_was_read():
+    plain = source('std_msgs/msg/Float64MultiArray')
+    message = Float64MultiArray(data=[1.0, 2.0])
+    assert plain.measurement(message, NOW, NOW - 3_000_000_000).stamp_ns == NOW - 3_000_000_000
+    # a clock that was set back in between does not make a stamp from the future
+    assert plain.measurement(message, NOW, NOW + 5).stamp_ns == NOW
+
+
+@pytest.mark.parametrize('low, high, value, good', [
+    (0.0, 0.0, 3.0, True), (0.0, 0.0, -1.0, False), (0.5, 10.0, 0.4, False),
+    (0.5, 10.0, 10.5, False), (0.5, 10.0, 10.0, True), (0.0, 10.0, -1.0, False)])
+def test_a_range_that_saw_nothing_is_no_measurement(low, high, value, good):
+    echo = source('sensor_msgs/msg/Range', 'range', sensor=Sensor(lambda x, t: x, [[1.0]]))
+    message = Range(min_range=low, max_range=high, range=value)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(NOW, 10**9)
+    if good:
+        assert echo.measurement(message, NOW).values == (value,)
+    else:
+        why, sentence = reason(message, echo)
+        assert why == 'out of range' and f'{value:g}' in sentence

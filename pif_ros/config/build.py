@@ -8,6 +8,8 @@ from importlib.metadata import entry_points, EntryPoint
 import inspect
 import math
 import os
+from pathlib import Path
+import re
 from typing import Any, TypeVar
 
 import numpy as np
@@ -77,11 +79,10 @@ def state_axes(name: str, given: Sequence[str], model: StateModel) -> tuple[int 
 
 def _grid(config: Config, model: StateModel) -> Grid:
     states = ', '.join(model.names)
-    for section, name, may_be_empty in (('grid', 'shape', False), ('grid', 'lower', False),
-                                        ('grid', 'upper', False), ('grid', 'periodic', True)):
+    for name in ('shape', 'lower', 'upper', 'periodic'):
         given = getattr(config.grid, name)
-        if len(given) != model.ndim and not (may_be_empty and not given):
-            raise ConfigError(f'{section}.{name}: expected {model.ndim} values, one for each '
+        if len(given) != model.ndim and not (name == 'periodic' and not given):
+            raise ConfigError(f'grid.{name}: expected {model.ndim} values, one for each '
                               f'state ({states}), got {list(given)}')
     with _named('grid'):
         return Grid(config.grid.lower, config.grid.upper, config.grid.shape,
@@ -168,7 +169,7 @@ def _constant(name: str, value: Any, default: Any) -> Any:
 
 def _check_memory(model: StateModel, grid: Grid, settings: KernelSettings) -> None:
     """Refuse a grid or a kernel that would not fit, before anything of its size is made."""
-    free = os.sysconf('SC_AVPHYS_PAGES') * os.sysconf('SC_PAGE_SIZE')
+    free = _available_memory()
     cells, where = float(np.prod(np.array(grid.shape, dtype=float))), list(grid.shape)
     needed = 8 * ARRAYS_PER_GRID * cells
     if cells < np.iinfo(np.int32).max:
@@ -177,6 +178,16 @@ def _check_memory(model: StateModel, grid: Grid, settings: KernelSettings) -> No
         raise ConfigError(f'grid.shape: expected a grid whose kernel fits into the '
                           f'{free / 1e9:.1f} GB of memory that are free, got {where} '
                           f'({needed / 1e9:.3g} GB)')
+
+
+def _available_memory() -> int:
+    """Return the bytes that a process may still have; what the kernel caches counts as free."""
+    try:
+        found = re.search(r'MemAvailable:\s*(\d+) kB', Path('/proc/meminfo').read_text())
+    except OSError:
+        found = None
+    return (int(found[1]) * 1024 if found
+            else os.sysconf('SC_AVPHYS_PAGES') * os.sysconf('SC_PAGE_SIZE'))
 
 
 @contextmanager

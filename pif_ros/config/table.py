@@ -177,6 +177,10 @@ class Config:
             config.measurements, names=names, sources=sources))
         if left:
             name = min(left)
+            source = name.split('.')[1] if name.startswith('measurements.') else names[0]
+            if name.count('.') > 1 and source not in names:
+                raise ConfigError(f'{name}: expected a known parameter, and {source} among '
+                                  f'measurements.names, got {left[name]!r}')
             raise ConfigError(f'{name}: expected a known parameter{_similar(name, names)}, '
                               f'got {left[name]!r}')
         return config

@@ -132,9 +132,11 @@ class DiracFeynmanFilter:
 
     def describe(self) -> str:
         """Return the size of grid and kernel; the first kernel is made now."""
+        cells = f'Dirac-Feynman filter on {" x ".join(map(str, self.grid.shape))} cells'
+        if self.model.changes_with_time:
+            return f'{cells}, a kernel for every step'
         kernel = self.kernel_at(0)
-        return (f'Dirac-Feynman filter on {" x ".join(map(str, self.grid.shape))} cells, '
-                f'a kernel of {kernel.nnz:,} weights ({12e-6 * kernel.nnz:.1f} MB)')
+        return (f'{cells}, a kernel of {kernel.nnz:,} weights ({12e-6 * kernel.nnz:.1f} MB)')
 
     def remarks(self) -> list[str]:
         """Return how the grid fits the sensors, a sentence for each that it does not fit."""

@@ -42,7 +42,7 @@ class Grid:
                 raise ValueError(f'{name}: expected {n} values, one for each axis of shape, '
                                  f'got {len(getattr(self, name))}')
         for i, (low, high, cells) in enumerate(zip(self.lower, self.upper, self.shape)):
-            if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            if not (math.isfinite(high - low) and low < high):
                 raise ValueError(f'upper: expected finite lower < upper on axis {i}, '
                                  f'got {low:g} and {high:g}')
             if cells < 2:

@@ -56,7 +56,9 @@ class GridLikelihood:
 
     def remarks(self, name: str) -> list[str]:
         """Return a sentence where some cells are wider than the likelihood."""
-        width, coarse = self._widths(0.0)
+        if self.sensor.time_dependent or callable(self.sensor.covariance):
+            return []
+        width, coarse = self._constant_widths
         if not len(coarse):
             return []
         cure = ('its likelihood is averaged over such cells where the belief is'

@@ -144,8 +144,8 @@ def central_differences(function: Callable[[Array], Array], x: Array,
     """
     Return d function_i / dx_j, shape (m, n, ...).
 
-    The step, cbrt(1e-16 |x|), is long against the rounding of x and short against whatever a
-    function does over a unit, also far from the origin.
+    The step, cbrt(1e-16 max(|x|, 1)), is long against the rounding of x and short against
+    whatever a function does over a unit, also far from the origin.
     """
     x = np.asarray(x, dtype=float)
     columns = []

@@ -132,12 +132,14 @@ def _squares(sigma_y: float, size: int) -> Callable[[], Sensor]:
 
 
 def _positive(name: str, value: float) -> float:
-    if not 0 < value < np.inf:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not (
+            1e-150 < value < 1e150):
         raise ValueError(f'{name}: expected a positive number, got {value}')
     return float(value)
 
 
 def _point(landmark: Sequence[float]) -> tuple[float, float]:
-    if np.shape(landmark) != (2,) or not np.all(np.isfinite(landmark)):
+    point = np.asarray(landmark)
+    if point.shape != (2,) or point.dtype.kind not in 'iuf' or not np.all(np.isfinite(point)):
         raise ValueError(f'landmark: expected 2 finite numbers, got {landmark}')
     return float(landmark[0]), float(landmark[1])

@@ -49,6 +49,14 @@ class Rejection(Enum):
     DUPLICATE = 'duplicate'
 
 
+class CorrectionFailed(RuntimeError):
+    """A measurement that could not be used, since something raised; the cause says what."""
+
+    def __init__(self, measurement: Measurement) -> None:
+        super().__init__(f'no correction by {measurement}')
+        self.measurement = measurement
+
+
 class Tracker(Generic[Belief]):
     """
     A filter's memory: measurements of the last seconds, and the belief after each.
@@ -76,6 +84,7 @@ class Tracker(Generic[Belief]):
         self._anchored: Measurement | None = None
         self._timeline: list[Measurement] = []
         self._posteriors: list[Estimate[Belief]] = []
+        self.corrections: list[tuple[Measurement, float]] = []
         self._rung: tuple[Estimate[Belief], int, Belief] | None = None
 
     @property
@@ -108,27 +117,29 @@ class Tracker(Generic[Belief]):
         """
         Return the belief after the newest measurement; the prior where there is none.
 
-        With at_most, so many corrections are made and the rest stays as backlog.
+        With at_most, so many corrections are made and the rest stays as backlog.  What was
+        corrected now is left in corrections, with its log evidence.  Raises CorrectionFailed for
+        a measurement at which the model or the sensor raised; it is not remembered.
         """
         done = len(self._posteriors)
+        self.corrections = []
         for measurement in self._timeline[done:None if at_most is None else done + at_most]:
             before = self._newest()
-            predicted = self._carried(before, measurement.stamp_ns)
-            belief, log_evidence = self.filter.correct(
-                predicted, measurement.values, measurement.source, measurement.stamp_ns)
+            try:
+                predicted = self._carried(before, measurement.stamp_ns)
+                belief, log_evidence = self.filter.correct(
+                    predicted, measurement.values, measurement.source, measurement.stamp_ns)
+            except Exception as error:  # noqa: B902  models and sensors are others' code
+                del self._timeline[len(self._posteriors)]
+                raise CorrectionFailed(measurement) from error
             # what no state allows is not believed, and says nothing of what is
             weight = log_evidence if log_evidence > -math.inf else 0.0
             self._posteriors.append(Estimate(measurement.stamp_ns, belief, log_evidence,
                                              before.total_log_evidence + weight))
-        if not self.backlog:
-            self._forget()
-        return self._newest()
-
-    def log_evidence(self, measurement: Measurement) -> float | None:
-        """Return log p(y | all before it) of a measurement, None where it is not remembered."""
-        place = bisect.bisect_left(self._timeline, measurement)
-        known = self._timeline[place:place + 1] == [measurement] and place < len(self._posteriors)
-        return self._posteriors[place].log_evidence if known else None
+            self.corrections.append((measurement, log_evidence))
+        newest = self._newest()
+        self._forget()
+        return newest
 
     def forecast(self, stamp_ns: int) -> Estimate[Belief]:
         """Return what is believed of a later moment; commits to nothing."""
@@ -165,7 +176,7 @@ class Tracker(Generic[Belief]):
             return
         oldest = self._timeline[-1].stamp_ns - self._history_ns
         count = bisect.bisect_left(self._timeline, oldest, key=lambda m: m.stamp_ns)
-        count = max(count, len(self._timeline) - self._depth)
+        count = min(max(count, len(self._timeline) - self._depth), len(self._posteriors))
         if count > 0:
             self._anchor, self._anchored = self._posteriors[count - 1], self._timeline[count - 1]
             del self._timeline[:count], self._posteriors[:count]

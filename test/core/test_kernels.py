@@ -685,7 +685,7 @@ def test_refuses_what_makes_no_kernel_in_one_line_with_what_was_wanted_and_what_
 
 
 def test_refuses_to_sample_noise_that_does_not_reach_every_state():
-    with pytest.raises(ValueError, match="^weights: expected 'auto' or 'moments'.*got 'sampled'$"):
+    with pytest.raises(ValueError, match="^weights: expected 'moments'.*got 'sampled'$"):
         dirac_feynman(standing([[1.0], [0.0]]), Grid((0, 0), (1, 1), (4, 4)),
                       KernelSettings(1.0, weights='sampled'))
 

@@ -9,7 +9,7 @@ from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.models import Sensor
 from pif_ros.core.systems import ornstein_uhlenbeck
-from pif_ros.core.tracker import Measurement, Rejection, Tracker
+from pif_ros.core.tracker import CorrectionFailed, Measurement, Rejection, Tracker
 import pytest
 
 SECOND = 1_000_000_000
@@ -272,3 +272,38 @@ def test_another_filter_behind_the_same_verbs_is_tracked_to_the_bit_as_well(
 def test_refuses_a_memory_that_is_none(fields, name):
     with pytest.raises(ValueError, match=f'^{name}: expected .*, got .*$'):
         Tracker(FILTER, PRIOR, **fields)
+
+
+def test_a_measurement_at_which_a_sensor_raises_is_named_and_forgotten():
+    def h(x, t):
+        if t > 0.025:
+            raise ArithmeticError('no such time')
+        return x
+
+    sensor = Sensor(h, [[1.0]], time_dependent=True)
+    filter_ = DiracFeynmanFilter(FILTER.model, FILTER.grid, {'place': FILTER.sensors['place'],
+                                                             'moody': sensor}, FILTER.kernel)
+    tracker = Tracker(filter_, PRIOR, 10.0)
+    good = [Measurement(10_000_000 * k, 'place', (0.1 * k,)) for k in range(1, 6)]
+    for measurement in [*good, Measurement(30_000_000, 'moody', (0.5,))]:
+        tracker.observe(measurement)
+    with pytest.raises(CorrectionFailed, match='moody') as error:
+        tracker.estimate()
+    assert error.value.measurement.source == 'moody'
+    assert isinstance(error.value.__cause__, ArithmeticError)
+    # all the others are as if it had never come
+    assert_same_bits(tracker.estimate(), verbs(good, filter_)[0])
+
+
+def test_depth_bounds_what_is_kept_while_there_is_a_backlog_too():
+    tracker = tracker_of(history=100.0, depth=5)
+    measurements = [Measurement(k * 10_000_000, 'place', (0.1,)) for k in range(40)]
+    for measurement in measurements:
+        tracker.observe(measurement)
+    found = tracker.estimate(at_most=30)
+    assert tracker.backlog == 10
+    assert_same_bits(found, verbs(measurements[:30])[0])
+    assert [m for m, _ in tracker.corrections] == measurements[:30]
+    # what is beyond the depth was let go of as soon as it was worked in
+    assert tracker.observe(Measurement(200_000_001, 'place', (0.0,))) is Rejection.TOO_LATE
+    assert_same_bits(tracker.estimate(), verbs(measurements)[0])

@@ -24,7 +24,8 @@ class KernelSettings:
     needs; weights: 'sampled' takes the density at the cell centres, 'moments' keeps mass, mean and
     covariance however thin the noise is against a cell, 'auto' chooses by the noise; tolerance:
     the share of a Gaussian's tail that is left out; noise_inflation: alpha of the papers' way with
-    thin noise, which takes g = alpha dx on each axis for the model's own, 0 for none.  Raises ValueError for what makes no kernel.
+    thin noise, which takes g = alpha dx on each axis for the model's own, 0 for none.  Raises
+    ValueError for what makes no kernel.
     """
 
     time_step: float

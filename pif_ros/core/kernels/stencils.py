@@ -48,9 +48,11 @@ def choose_stencils(model: StateModel, grid: Grid, settings: KernelSettings,
     """
     variance = variance_in_cells(model, grid, settings, t)
     regular = np.linalg.matrix_rank(variance, hermitian=True) == len(variance)
-    if settings.weights == 'sampled' and not regular:
-        raise ValueError("weights: expected 'auto' or 'moments' where the noise does not reach "
-                         "every state (g = e Q e^T is singular), got 'sampled'")
+    if not regular and (settings.weights == 'sampled'
+                        or settings.weights == 'auto' and settings.extent):
+        raise ValueError("weights: expected 'moments', or 'auto' without an extent, where the "
+                         'noise does not reach every state (g = e Q e^T is singular), '
+                         f'got {settings.weights!r}')
     step = step_moments(model, grid.points, grid.spacing, settings, t)
     if settings.weights == 'sampled' or (settings.weights == 'auto' and settings.extent):
         sampled = np.ones(grid.size, dtype=bool)
