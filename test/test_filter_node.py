@@ -1038,6 +1038,7 @@ def test_a_sensor_that_raises_costs_its_measurement_and_no_other(graph):
     healthy = type(sensor).log
 
     class Moody(type(sensor)):
+
         def log(self, y, density, t):
             if y[0] == 7.5:
                 raise ArithmeticError('such a number')
