@@ -106,6 +106,10 @@ class GridBelief:
         return GridBelief(self.grid.select(axes),
                           np.transpose(density, [kept.index(i) for i in axes]))
 
+    def on(self, grid: Grid, axes: Sequence[int]) -> GridBelief:
+        """Return the density of some of the axes on the cells of a grid, which is its own."""
+        return self.marginal(axes)
+
     def entropy(self) -> float:
         """Return the differential entropy in nats."""
         w = self._weights[self._weights > 0]

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
-from pif_ros.core.kernels import dirac_feynman, KernelSettings
+from pif_ros.core.kernels import (kernel_of, KernelSettings, Operator, operator_of,
+                                  OperatorSettings)
 from pif_ros.core.likelihood import GridLikelihood
 from pif_ros.core.models import Sensor, StateModel
 from scipy import sparse
@@ -34,15 +35,32 @@ class Filter(Protocol[Belief]):
         """Return the length of a step in nanoseconds."""
 
     @property
+    def model(self) -> StateModel:
+        """Return how the world moves."""
+
+    @property
     def sensors(self) -> Mapping[str, Sensor]:
         """Return the sensors by name."""
 
+    def gaussian(self, mean: ArrayLike, covariance: ArrayLike) -> Belief:
+        """Return the belief to start with where a mean (n,) and a covariance (n, n) are known."""
+
+    def uniform(self) -> Belief:
+        """Return the belief to start with where nothing is known but the box."""
+
     def predict(self, belief: Belief, from_ns: int, to_ns: int) -> Belief:
-        """Return the belief carried from one stamp to a later one, in steps from the first."""
+        """
+        Return the belief carried from one stamp to a later one, in steps from the first.
+
+        Whole steps may be taken in any number of calls: the result is the same to the bit.
+        """
 
     def correct(self, belief: Belief, y: ArrayLike, sensor: str,
                 at_ns: int) -> tuple[Belief, float]:
         """Return the belief given a measurement, and the log evidence of that measurement."""
+
+    def log_peak(self, belief: Belief, sensor: str, at_ns: int) -> float:
+        """Return the log evidence of a measurement that is just as the belief is sure it is."""
 
     def describe(self) -> str:
         """Return what the filter is, in a line; what can be made beforehand is made now."""
@@ -57,7 +75,9 @@ class DiracFeynmanFilter:
     The filter that keeps the whole density on a grid  [Sensors, section 4.2].
 
     sensors: by name; average_cells: whether a likelihood narrower than a cell is averaged over it
-    instead of taken at its centre.
+    instead of taken at its centre; significance: a measurement corrects only cells with more than
+    this share of the densest one's density, and empties the others, 0 for all; operator: how
+    the kernel becomes the operator that moves the density.
     """
 
     model: StateModel
@@ -65,15 +85,30 @@ class DiracFeynmanFilter:
     sensors: Mapping[str, Sensor]
     kernel: KernelSettings
     average_cells: bool = True
+    significance: float = 0.0
+    operator: OperatorSettings = OperatorSettings()
     time_step_ns: int = field(init=False)
 
     def __post_init__(self) -> None:
-        """Hold the step in whole nanoseconds, and refuse a grid that does not fit the model."""
+        """Hold the step in whole nanoseconds, and refuse what does not fit the model."""
         if self.grid.ndim != self.model.ndim:
             raise ValueError(f'grid: expected {self.model.ndim} axes, one for each state, '
                              f'got {self.grid.ndim}')
-        step = max(round(self.kernel.time_step * NANOSECONDS), 1)
-        object.__setattr__(self, 'time_step_ns', step)
+        if not 0 <= self.significance < 1:
+            raise ValueError('significance: expected a share, 0 to below 1, '
+                             f'got {self.significance!r}')
+        if self.model.changes_with_time and self.operator != OperatorSettings():
+            raise ValueError('operator: expected none of steps, file and wavelet where the model '
+                             f'changes with time, got {self.operator}')
+        object.__setattr__(self, 'time_step_ns', self._kernel_ns * self.operator.steps)
+
+    def gaussian(self, mean: ArrayLike, covariance: ArrayLike) -> GridBelief:
+        """Return a Gaussian density, cut at the edges of the grid."""
+        return GridBelief.gaussian(self.grid, mean, covariance)
+
+    def uniform(self) -> GridBelief:
+        """Return the density that knows nothing but the grid."""
+        return GridBelief.uniform(self.grid)
 
     def predict(self, belief: GridBelief, from_ns: int, to_ns: int) -> GridBelief:
         """
@@ -85,15 +120,18 @@ class DiracFeynmanFilter:
         """
         if to_ns < from_ns:
             raise ValueError(f'to_ns: expected a stamp from {from_ns} on, got {to_ns}')
-        steps, rest = divmod(to_ns - from_ns, self.time_step_ns)
-        if not (steps or rest):
+        if to_ns == from_ns:
             return belief
+        strides, left = divmod(to_ns - from_ns, self.time_step_ns)
+        steps, rest = divmod(left, self._kernel_ns)
         p, t = belief.density.ravel(), from_ns
-        for _ in range(steps):
+        for _ in range(strides):
             # p(x'') = sum_x' K(x'', x') p(x')  [Sensors, Eq. 26]
-            p, t = self.kernel_at(t) @ p, t + self.time_step_ns
+            p, t = self.operator_at(t) @ p, t + self.time_step_ns
+        for _ in range(steps):
+            p, t = self.kernel_at(t) @ p, t + self._kernel_ns
         if rest:
-            a = rest / self.time_step_ns
+            a = rest / self._kernel_ns
             moved = self.kernel_at(t) @ p
             p = moved * a + p * (1 - a)
         return GridBelief(self.grid, p.reshape(self.grid.shape))
@@ -108,8 +146,11 @@ class DiracFeynmanFilter:
         the measurement at all, the belief stays as it is and the evidence is -inf.
         """
         p = belief.density.ravel()
+        cells = self._significant(p)
+        if cells is not None:
+            p = p[cells]
         log_l = self._likelihoods[sensor].log(np.asarray(y, dtype=float), p,
-                                              at_ns / NANOSECONDS)
+                                              at_ns / NANOSECONDS, cells)
         peak = log_l.max()
         posterior = _posterior(p, log_l, peak)
         evidence = posterior.sum()
@@ -123,31 +164,61 @@ class DiracFeynmanFilter:
         posterior /= evidence * self.grid.cell_volume
         posterior -= NEGLIGIBLE
         np.maximum(posterior, 0.0, out=posterior)
+        if cells is not None:
+            corrected, posterior = posterior, np.zeros(self.grid.size)
+            posterior[cells] = corrected
         return (GridBelief(self.grid, posterior.reshape(self.grid.shape)),
                 float(peak + np.log(evidence * self.grid.cell_volume)))
+
+    def log_peak(self, belief: GridBelief, sensor: str, at_ns: int) -> float:
+        """Return the log evidence of a measurement that is just as the belief is sure it is."""
+        return self.sensors[sensor].log_peak(at_ns / NANOSECONDS)
 
     def kernel_at(self, t_ns: int) -> sparse.csr_array:
         """Return the kernel of the step that starts at a stamp."""
         return self._kernels(t_ns if self.model.changes_with_time else 0)
+
+    def operator_at(self, t_ns: int) -> Operator:
+        """Return the operator of the time_step_ns that start at a stamp."""
+        if self.operator.steps == 1 and not self.operator.wavelet:
+            return self.kernel_at(t_ns)
+        return self._whole_operator
 
     def describe(self) -> str:
         """Return the size of grid and kernel; the first kernel is made now."""
         cells = f'Dirac-Feynman filter on {" x ".join(map(str, self.grid.shape))} cells'
         if self.model.changes_with_time:
             return f'{cells}, a kernel for every step'
-        kernel = self.kernel_at(0)
-        return (f'{cells}, a kernel of {kernel.nnz:,} weights ({12e-6 * kernel.nnz:.1f} MB)')
+        operator, how = self.operator_at(0), self.operator
+        basis = f' in the basis {how.wavelet}' if how.wavelet else ''
+        steps = f' of {how.steps} steps' if how.steps > 1 else ''
+        return (f'{cells}, a kernel{steps} of {operator.nnz:,} weights{basis} '
+                f'({12e-6 * operator.nnz:.1f} MB)')
 
     def remarks(self) -> list[str]:
         """Return how the grid fits the sensors, a sentence for each that it does not fit."""
         return [remark for name, likelihood in self._likelihoods.items()
                 for remark in likelihood.remarks(name)]
 
+    def _significant(self, p: Array) -> NDArray[np.intp] | None:
+        """Return the cells that a measurement corrects, None for all."""
+        if not self.significance or not p.max() > 0:
+            return None
+        return np.flatnonzero(p > self.significance * p.max())
+
     @cached_property
     def _kernels(self) -> Callable[[int], sparse.csr_array]:
         # a model that changes with time comes back to the same stamps when it replays
-        return lru_cache(maxsize=16)(lambda t_ns: dirac_feynman(
-            self.model, self.grid, self.kernel, t_ns / NANOSECONDS))
+        return lru_cache(maxsize=16)(lambda t_ns: kernel_of(
+            self.model, self.grid, self.kernel, self.operator, t_ns / NANOSECONDS))
+
+    @cached_property
+    def _whole_operator(self) -> Operator:
+        return operator_of(self.kernel_at(0), self.grid, self.kernel, self.operator)
+
+    @property
+    def _kernel_ns(self) -> int:
+        return max(round(self.kernel.time_step * NANOSECONDS), 1)
 
     @cached_property
     def _likelihoods(self) -> Mapping[str, GridLikelihood]:

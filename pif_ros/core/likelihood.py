@@ -39,19 +39,21 @@ class GridLikelihood:
     sensor: Sensor
     average_cells: bool = True
 
-    def log(self, y: Array, density: Array, t: float) -> Array:
+    def log(self, y: Array, density: Array, t: float, cells: Indices | None = None) -> Array:
         """
-        Return log p(y | x) for all cells (size,), given the density (size,) before it.
+        Return log p(y | x) for some cells (all where none are given), given the density there.
 
         Where the sensor's function is undefined it is NaN.
         """
-        log_l = self._at_centres(y, t)
+        log_l = self._at_centres(y, t, slice(None) if cells is None else cells)
         if self.average_cells:
             width, coarse = self._widths(t)
             if len(coarse):
-                cells = coarse[density[coarse] > SIGNIFICANT * density.max()]
-                if len(cells):
-                    log_l[cells] = self._averaged(y, cells, width, t)
+                places = coarse if cells is None else np.flatnonzero(width[cells] > RESOLVED)
+                places = places[density[places] > SIGNIFICANT * density.max()]
+                if len(places):
+                    log_l[places] = self._averaged(
+                        y, places if cells is None else cells[places], width, t)
         return log_l
 
     def remarks(self, name: str) -> list[str]:
@@ -67,15 +69,15 @@ class GridLikelihood:
                 f'sensor {name!r} resolves, up to {float(width.max()):.1f} of its standard '
                 f'deviations; {cure}']
 
-    def _at_centres(self, y: Array, t: float) -> Array:
+    def _at_centres(self, y: Array, t: float, cells: Indices | slice) -> Array:
         sensor = self.sensor
         if sensor.time_dependent or callable(sensor.covariance) or any(sensor.angular):
-            return sensor.log_likelihood(y, sensor.function(self.grid.points, t), t)
+            return sensor.log_likelihood(y, sensor.function(self.grid.points[:, cells], t), t)
         # -|v - u|^2 / 2 = v u - |v|^2 / 2 - |u|^2 / 2, of which only the first needs both
         origin, v, square = self._whitened
         u = self._whiten @ y - origin
-        log_l: Array = u @ v
-        log_l += square
+        log_l: Array = u @ v[:, cells]
+        log_l += square[cells]
         log_l += _log_constant(self._whiten) - 0.5 * float(u @ u)
         return log_l
 

@@ -18,26 +18,37 @@ Matrix = Array | Callable[[float], Array]
 @dataclass(frozen=True, eq=False)
 class StateModel:
     """
-    The stochastic differential equation dx = f(x, t) dt + e(t) dv  [TM, Eq. 65].
+    The stochastic differential equation dx = f(x, t) dt + e(x, t) dv  [Sensors, Eq. 1].
 
     names: one per state; drift: f(x, t) maps states (n, ...) to (n, ...) per second; vielbein: e,
-    an (n, p) matrix or a function of t in seconds; noise_covariance: Q of dv per second, (p, p) or
-    a function of t, the unit matrix where none is given; drift_jacobian: df_i/dx_j, (n, n, ...),
-    taken by central differences where none is given; time_dependent: whether f depends on t (e
-    and Q do where they are functions); units: one per state, for the reader.
+    an (n, p) matrix or a function of t in seconds, or, where multiplicative, a function of (x, t)
+    that maps states (n, ...) to (n, p, ...); noise_covariance: Q of dv per second, (p, p) or a
+    function of t, the unit matrix where none is given; drift_jacobian: df_i/dx_j, (n, n, ...), and
+    vielbein_jacobian: de_ia/dx_j, (n, p, n, ...), both taken by central differences where none is
+    given; time_dependent: whether f, or a multiplicative e, depends on t (other functions do);
+    s: the sense of multiplicative noise, for which e is taken at x' + s (x'' - x') of a step from
+    x' to x'': 0 is Ito's, 1/2 Stratonovich's; units: one per state, for the reader.
     """
 
     names: tuple[str, ...]
     drift: Field
-    vielbein: Matrix
+    vielbein: Matrix | Field
     noise_covariance: Matrix | None = None
     drift_jacobian: Field | None = None
     time_dependent: bool = False
     units: tuple[str, ...] = ()
+    multiplicative: bool = False
+    vielbein_jacobian: Field | None = None
+    s: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a constant e or Q that does not fit the states, or is none."""
         columns = None
+        if not 0 <= self.s <= 1:
+            raise ValueError(f's: expected a number from 0 to 1, got {self.s!r}')
+        if self.multiplicative and not callable(self.vielbein):
+            raise ValueError('vielbein: expected a function of (x, t) where the noise is '
+                             f'multiplicative, got {np.asarray(self.vielbein).tolist()}')
         if not callable(self.vielbein):
             e = np.asarray(self.vielbein, dtype=float)
             if e.ndim != 2 or len(e) != self.ndim or not np.all(np.isfinite(e)):
@@ -56,20 +67,75 @@ class StateModel:
     @property
     def changes_with_time(self) -> bool:
         """Return whether a kernel of this model holds at one time only."""
-        return self.time_dependent or callable(self.vielbein) or callable(self.noise_covariance)
+        return (self.time_dependent or callable(self.noise_covariance)
+                or callable(self.vielbein) and not self.multiplicative)
+
+    @property
+    def noise_bends(self) -> bool:
+        """Return whether the sense of the noise matters: e depends on x, and s is not 0."""
+        return self.multiplicative and self.s > 0
+
+    def noise(self, t: float) -> Array:
+        """Return Q at time t, shape (p, p)."""
+        if self.noise_covariance is not None:
+            return np.atleast_2d(_at(self.noise_covariance, t))
+        origin = np.zeros((self.ndim, 1))
+        return np.eye(self.vielbein_at(origin, t).shape[1])
+
+    def vielbein_at(self, x: Array, t: float) -> Array:
+        """Return e at states (n, ...), shape (n, p, ...)."""
+        if self.multiplicative:
+            return np.asarray(self.vielbein(x, t), dtype=float)  # type: ignore
+        e = np.atleast_2d(_at(self.vielbein, t))  # type: ignore[arg-type]
+        rest = np.shape(x)[1:]
+        return np.broadcast_to(e.reshape(e.shape + (1,) * len(rest)), e.shape + rest)
 
     def diffusion(self, t: float) -> Array:
-        """Return the diffusion matrix g = e Q e^T at time t, shape (n, n)  [TM, Eq. 93]."""
-        e = np.atleast_2d(_at(self.vielbein, t))
-        Q = np.eye(e.shape[1]) if self.noise_covariance is None else np.atleast_2d(
-            _at(self.noise_covariance, t))
-        return e @ Q @ e.T
+        """Return g = e Q e^T of additive noise at time t, shape (n, n)  [TM, Eq. 93]."""
+        e = np.atleast_2d(_at(self.vielbein, t))  # type: ignore[arg-type]
+        return e @ self.noise(t) @ e.T
+
+    def diffusion_at(self, x: Array, t: float) -> Array:
+        """Return g = e Q e^T at states (n, ...), shape (n, n, ...)  [Sensors, Eq. 17]."""
+        rest = np.shape(x)[1:]
+        if not self.multiplicative:
+            g = self.diffusion(t)
+            return np.broadcast_to(g.reshape(g.shape + (1,) * len(rest)), g.shape + rest)
+        e = self.vielbein_at(x, t)
+        return np.einsum('ia...,ab,jb...->ij...', e, self.noise(t), e)
 
     def jacobian(self, x: Array, t: float) -> Array:
         """Return df_i/dx_j at states (n, ...), shape (n, n, ...)."""
         if self.drift_jacobian is not None:
             return np.asarray(self.drift_jacobian(x, t), dtype=float)
         return central_differences(lambda y: self.drift(y, t), x)
+
+    def vielbein_jacobian_at(self, x: Array, t: float) -> Array:
+        """Return de_ia/dx_j at states (n, ...), shape (n, p, n, ...)."""
+        if self.vielbein_jacobian is not None:
+            return np.asarray(self.vielbein_jacobian(x, t), dtype=float)
+        shape = self.vielbein_at(x, t).shape
+        flat = central_differences(
+            lambda y: self.vielbein_at(y, t).reshape((-1,) + shape[2:]), x)
+        return flat.reshape(shape[:2] + (self.ndim,) + shape[2:])
+
+    def ito_drift(self, x: Array, t: float) -> Array:
+        """
+        Return the drift of the same process in Ito's sense at states (n, ...), same shape.
+
+        f_i + s (d_k e_ia) Q_ab e_kb: what is left of noise times its own gradient.
+        """
+        f = np.asarray(self.drift(x, t), dtype=float)
+        if not self.noise_bends:
+            return f
+        return f + self.s * np.einsum('iak...,ab,kb...->i...', self.vielbein_jacobian_at(x, t),
+                                      self.noise(t), self.vielbein_at(x, t))
+
+    def ito_jacobian(self, x: Array, t: float) -> Array:
+        """Return the derivatives of ito_drift at states (n, ...), shape (n, n, ...)."""
+        if not self.noise_bends:
+            return self.jacobian(x, t)
+        return central_differences(lambda y: self.ito_drift(y, t), x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +198,13 @@ class Sensor:
 
     def log_peak(self, t: float) -> float:
         """Return the log likelihood of a measurement that is just as expected."""
+        if not callable(self.covariance):
+            return self._constant_log_peak
         return -0.5 * float(np.linalg.slogdet(2 * np.pi * self.noise(t))[1])
+
+    @cached_property
+    def _constant_log_peak(self) -> float:
+        return -0.5 * float(np.linalg.slogdet(2 * np.pi * self.noise(0.0))[1])
 
     def jacobian(self, x: Array, t: float) -> Array:
         """Return dh_i/dx_j at states (n, ...) by central differences, shape (m, n, ...)."""

@@ -42,6 +42,20 @@ class Estimate(Generic[Belief]):
     total_log_evidence: float = 0.0
 
 
+@dataclass(frozen=True)
+class Correction:
+    """
+    A correction that was made: by what, and what the belief before it said of it.
+
+    log_peak: what the log evidence would have been, had the measurement been just as expected by
+    a belief that is sure of itself.
+    """
+
+    measurement: Measurement
+    log_evidence: float
+    log_peak: float
+
+
 class Rejection(Enum):
     """Why a measurement cannot be put where it belongs."""
 
@@ -84,7 +98,7 @@ class Tracker(Generic[Belief]):
         self._anchored: Measurement | None = None
         self._timeline: list[Measurement] = []
         self._posteriors: list[Estimate[Belief]] = []
-        self.corrections: list[tuple[Measurement, float]] = []
+        self.corrections: list[Correction] = []
         self._rung: tuple[Estimate[Belief], int, Belief] | None = None
 
     @property
@@ -118,7 +132,7 @@ class Tracker(Generic[Belief]):
         Return the belief after the newest measurement; the prior where there is none.
 
         With at_most, so many corrections are made and the rest stays as backlog.  What was
-        corrected now is left in corrections, with its log evidence.  Raises CorrectionFailed for
+        corrected now is left in corrections.  Raises CorrectionFailed for
         a measurement at which the model or the sensor raised; it is not remembered.
         """
         done = len(self._posteriors)
@@ -129,6 +143,8 @@ class Tracker(Generic[Belief]):
                 predicted = self._carried(before, measurement.stamp_ns)
                 belief, log_evidence = self.filter.correct(
                     predicted, measurement.values, measurement.source, measurement.stamp_ns)
+                log_peak = self.filter.log_peak(
+                    predicted, measurement.source, measurement.stamp_ns)
             except Exception as error:  # noqa: B902  models and sensors are others' code
                 del self._timeline[len(self._posteriors)]
                 raise CorrectionFailed(measurement) from error
@@ -136,7 +152,7 @@ class Tracker(Generic[Belief]):
             weight = log_evidence if log_evidence > -math.inf else 0.0
             self._posteriors.append(Estimate(measurement.stamp_ns, belief, log_evidence,
                                              before.total_log_evidence + weight))
-            self.corrections.append((measurement, log_evidence))
+            self.corrections.append(Correction(measurement, log_evidence, log_peak))
         newest = self._newest()
         self._forget()
         return newest

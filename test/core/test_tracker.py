@@ -2,12 +2,12 @@
 
 from hypothesis import given, settings, strategies as st
 import numpy as np
-from pif_ros.core.baselines import ExtendedKalmanFilter, GaussianBelief
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.models import Sensor
+from pif_ros.core.rivals import ExtendedKalmanFilter, GaussianBelief
 from pif_ros.core.systems import ornstein_uhlenbeck
 from pif_ros.core.tracker import CorrectionFailed, Measurement, Rejection, Tracker
 import pytest
@@ -127,7 +127,7 @@ def test_a_forecast_takes_no_step_twice():
             self.steps += (to_ns - from_ns) // self.time_step_ns
             return FILTER.predict(belief, from_ns, to_ns)
 
-        correct = FILTER.correct
+        correct, log_peak = FILTER.correct, FILTER.log_peak
 
     counting = Counting()
     tracker = Tracker(counting, PRIOR)
@@ -303,7 +303,7 @@ def test_depth_bounds_what_is_kept_while_there_is_a_backlog_too():
     found = tracker.estimate(at_most=30)
     assert tracker.backlog == 10
     assert_same_bits(found, verbs(measurements[:30])[0])
-    assert [m for m, _ in tracker.corrections] == measurements[:30]
+    assert [made.measurement for made in tracker.corrections] == measurements[:30]
     # what is beyond the depth was let go of as soon as it was worked in
     assert tracker.observe(Measurement(200_000_001, 'place', (0.0,))) is Rejection.TOO_LATE
     assert_same_bits(tracker.estimate(), verbs(measurements)[0])

@@ -1,77 +1,36 @@
-"""One Dirac-Feynman step in formulas: its density, and the first two moments of its move."""
+"""One Dirac-Feynman step in formulas: the density of its end, given its beginning."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-import math
 
 import numpy as np
 from numpy.typing import NDArray
+from pif_ros.core.kernels.settings import KernelSettings
 from pif_ros.core.models import StateModel
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class KernelSettings:
-    """
-    How a kernel is made.
-
-    time_step: seconds; r: where between x' and x'' the drift is taken, 0 to 1; jacobian:
-    'determinant' for |det(1 - r eps df/dx)|, 'exponential' for its printed expansion
-    exp(-r eps div f); extent: largest move in cells on each axis, 0 for as wide as the kernel
-    needs; weights: 'sampled' takes the density at the cell centres, 'moments' keeps mass, mean and
-    covariance however thin the noise is against a cell, 'auto' chooses by the noise; tolerance:
-    the share of a Gaussian's tail that is left out; noise_inflation: alpha of the papers' way with
-    thin noise, which takes g = alpha dx on each axis for the model's own, 0 for none.  Raises
-    ValueError for what makes no kernel.
-    """
-
-    time_step: float
-    r: float = 0.5
-    jacobian: str = 'determinant'
-    extent: int = 0
-    weights: str = 'auto'
-    tolerance: float = 1e-5
-    noise_inflation: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse what makes no kernel."""
-        for name, wanted, holds in (
-                ('time_step', 'a nanosecond or more, in seconds',
-                 1e-9 <= self.time_step < math.inf),
-                ('r', 'a number from 0 to 1', 0 <= self.r <= 1),
-                ('jacobian', "'determinant' or 'exponential'",
-                 self.jacobian in ('determinant', 'exponential')),
-                ('extent', 'a number of cells, 0 or more', self.extent >= 0),
-                ('weights', "'auto', 'sampled' or 'moments'",
-                 self.weights in ('auto', 'sampled', 'moments')),
-                ('tolerance', 'a number from 1e-12 to 0.1', 1e-12 <= self.tolerance <= 0.1),
-                ('noise_inflation', 'a number, 0 or more',
-                 0 <= self.noise_inflation < math.inf)):
-            if not holds:
-                raise ValueError(f'{name}: expected {wanted}, got {getattr(self, name)!r}')
-
-
 def log_transition_density(model: StateModel, x_to: Array, x_from: Array,
                            settings: KernelSettings, t: float = 0.0) -> Array:
     """
-    Return log P(t + eps, x'' | t, x') of one step for states (n, ...)  [Sensors, Eqs. 18, 19].
+    Return log P(t + eps, x'' | t, x') of one step for states (n, ...)  [Sensors, Eqs. 18, 47].
 
-    As the formula has it, so that with r > 0 and the exponential its mass is not 1; f, e and Q
-    are taken at t + r eps.  The diffusion matrix must be regular.
+    As the formula has it, so that with r or s > 0 and the exponential its mass is not 1; f, e and
+    Q are taken at t + r eps.  Where the diffusion matrix is singular it is NaN or infinite.
     """
-    dx, n = x_to - x_from, model.ndim
+    dx = x_to - x_from
     f, log_jacobian = drift_terms(model, x_from + settings.r * dx, settings, t)
-    g = model.diffusion(t + settings.r * settings.time_step)
-    constant = -0.5 * (n * np.log(2 * np.pi * settings.time_step) + np.linalg.slogdet(g)[1])
-    return constant + log_jacobian - action(dx, f, g, settings.time_step)
+    if model.noise_bends:
+        return _bent(model, x_from, dx, f, log_jacobian, settings, t)
+    g = model.diffusion_at(x_from, t + settings.r * settings.time_step)
+    return gaussian(dx - settings.time_step * f, settings.time_step * g) + log_jacobian
 
 
 def drift_terms(model: StateModel, x: Array, settings: KernelSettings,
                 t: float) -> tuple[Array, Array]:
-    """Return the drift f (n, ...) and the log of the step's Jacobian (...) at x^(r)."""
+    """Return the drift f (n, ...) and the log of its share of the Jacobian (...) at x^(r)."""
     r, eps = settings.r, settings.time_step
     f = np.asarray(model.drift(x, t + r * eps), dtype=float)
     if r == 0:
@@ -82,7 +41,7 @@ def drift_terms(model: StateModel, x: Array, settings: KernelSettings,
         return f, -r * eps * np.einsum('ii...->...', D)
     # |det(1 - r eps df/dx)|, of which the exponential is the expansion
     with np.errstate(divide='ignore'):
-        return f, np.log(np.abs(_determinant(-r * eps * D)))
+        return f, np.log(np.abs(determinant(-r * eps * D)))
 
 
 def action(dx: Sequence[Array] | Array, f: Array, g: Array, eps: float) -> Array:
@@ -98,78 +57,67 @@ def action(dx: Sequence[Array] | Array, f: Array, g: Array, eps: float) -> Array
     return total
 
 
-@dataclass(frozen=True, eq=False)
-class StepMoments:
-    """
-    The move in one step from each of N states: its mean (n, N) and covariance (n, n, N).
-
-    settled: where they are those of the settings' r; elsewhere they are those of r = 0.
-    """
-
-    mean: Array
-    covariance: Array
-    settled: NDArray[np.bool_]
+def gaussian(v: Array, covariance: Array) -> Array:
+    """Return log N(v; 0, covariance) of vectors (n, ...), covariances (n, n, ...) or narrower."""
+    square = np.einsum('i...,i...->...', v, solved(covariance, v))
+    log_det = np.log(np.abs(determinant(covariance, 0.0)))
+    return np.asarray(-0.5 * (square + log_det + len(v) * np.log(2 * np.pi)))
 
 
-def step_moments(model: StateModel, x: Array, spacing: Array, settings: KernelSettings,
-                 t: float, iterations: int = 4) -> StepMoments:
-    """
-    Return the moments of one step from states x (n, N), on cells of a spacing (n,).
-
-    The density peaks where J = 0, d = eps f(x + r d), and has there the covariance
-    A^-1 eps g A^-T, A = 1 - r eps df/dx.  Where that says nothing, since A is nearly singular,
-    Newton's iteration does not settle, or A changes much within a cell, the moments are an Euler
-    step's.  Raises ValueError for a drift that is not finite.
-    """
-    r, eps = settings.r, settings.time_step
-    tau, n = t + r * eps, len(x)
-    g = eps * model.diffusion(tau)
-    euler = eps * np.asarray(model.drift(x, tau), dtype=float)
-    undefined = ~np.all(np.isfinite(euler), axis=0)
-    if undefined.any():
-        at = x[:, np.argmax(undefined)]
-        raise ValueError(f'drift: expected finite numbers in every cell, got '
-                         f'{(euler[:, np.argmax(undefined)] / eps).tolist()} at {at.tolist()}')
-    spread = np.broadcast_to(g[..., None], (n, n, x.shape[1]))
-    if r == 0:
-        return StepMoments(euler, spread, np.ones(x.shape[1], dtype=bool))
-    move, error, one = np.zeros_like(euler), euler, np.eye(n)[..., None]
-    A, settled = one, ~_rough(model, x, spacing, r * eps, tau)
-    for _ in range(iterations):
-        A = one - r * eps * model.jacobian(x + r * move, tau)
-        settled &= _determinant(A - one) > 0.3
-        A = np.where(settled, A, one)
-        move = move + _solve(A, error)
-        error = eps * np.asarray(model.drift(x + r * move, tau), dtype=float) - move
-    settled &= np.all(np.abs(error) <= 1e-2 * np.sqrt(np.diag(g))[:, None]
-                      + 1e-6 * np.abs(euler) + 1e-3 * spacing[:, None], axis=0)
-    inverse = np.moveaxis(np.linalg.inv(np.moveaxis(A, -1, 0)), 0, -1)
-    bent = np.einsum('ijk,jl,mlk->imk', inverse, g, inverse)
-    return StepMoments(np.where(settled, move, euler), np.where(settled, bent, spread), settled)
+def _bent(model: StateModel, x_from: Array, dx: Array, f: Array, log_jacobian: Array,
+          settings: KernelSettings, t: float) -> Array:
+    """Return log P where e is taken at x^(s) = x' + s dx, given f and its Jacobian at x^(r)."""
+    eps, s, tau = settings.time_step, model.s, t + settings.r * settings.time_step
+    x = x_from + s * dx
+    # noise of covariance 1 through e Q^(1/2)
+    root: Array = np.linalg.cholesky(model.noise(tau))
+    e = _times(model.vielbein_at(x, tau), root)
+    de = np.moveaxis(_times(np.moveaxis(model.vielbein_jacobian_at(x, tau), 2, 0), root, 2), 0, 2)
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        if settings.jacobian == 'exponential':
+            # J = x'' - x' - eps f + s eps e Q u, u_b = d_i e_ib  [Sensors, Eq. 50, its sign put
+            # right: with the printed one nothing converges]
+            u = np.einsum('ibi...->b...', de)
+            J = dx - eps * f + s * eps * np.einsum('ia...,a...->i...', e, u)
+            # (d_i e_ja) Q_ab (d_j e_ib) - u_a Q_ab u_b  [Sensors, Eq. 48, its indices put right]
+            bend = np.einsum('jai...,iaj...->...', de, de) - np.einsum('a...,a...->...', u, u)
+            g = np.einsum('ia...,ja...->ij...', e, e)
+            return gaussian(J, eps * g) + log_jacobian - s * s * eps / 2 * bend
+        # the noise that led to x'', and how much of it leads to as much of x''
+        dv = solved(e, dx - eps * f)
+        D = -s * np.einsum('iaj...,a...->ij...', de, dv)
+        if settings.r:
+            D -= settings.r * eps * model.jacobian(x_from + settings.r * dx, tau)
+        log_det = np.log(np.abs(determinant(D) / determinant(e, 0.0)))
+        square = np.einsum('a...,a...->...', dv, dv)
+    return np.asarray(log_det - square / (2 * eps) - len(dv) / 2 * np.log(2 * np.pi * eps))
 
 
-def _rough(model: StateModel, x: Array, spacing: Array, r_eps: float,
-           tau: float) -> NDArray[np.bool_]:
-    """Return where r eps df/dx changes so much within a cell that one value is an accident."""
-    D = model.jacobian(x, tau)
-    rough = np.zeros(x.shape[1], dtype=bool)
-    for part in (-1 / 2, -1 / 4, 1 / 4, 1 / 2):
-        for shift in np.diag(spacing * part):
-            change = model.jacobian(x + shift[:, None], tau) - D
-            rough |= ~(r_eps * np.sqrt(np.einsum('ij...,ij...->...', change, change)) < 0.3)
-    return rough
+def _times(e: Array, root: Array, axis: int = 1) -> Array:
+    """Return e root, over the axis of e that belongs to the noise."""
+    if np.array_equal(root, np.eye(len(root))):
+        return e
+    return np.moveaxis(np.tensordot(e, root, (axis, 0)), -1, axis)
 
 
-def _determinant(D: Array) -> Array:
-    """Return det(1 + D) of matrices (n, n, ...)."""
+def solved(A: Array, b: Array) -> Array:
+    """Return x of A x = b, matrices (n, n, ...), vectors (n, ...); inf where there is none."""
+    if len(b) == 1:
+        return np.asarray(b / A[0])
+    if len(b) == 2:
+        det = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+        return np.stack([(A[1, 1] * b[0] - A[0, 1] * b[1]) / det,
+                         (A[0, 0] * b[1] - A[1, 0] * b[0]) / det])
+    regular = determinant(A, 0.0) != 0
+    A = np.where(regular, A, np.eye(len(b)).reshape(A.shape[:2] + (1,) * (A.ndim - 2)))
+    x = np.linalg.solve(np.moveaxis(A, (0, 1), (-2, -1)), np.moveaxis(b, 0, -1)[..., None])
+    return np.where(regular, np.moveaxis(x[..., 0], -1, 0), np.inf)
+
+
+def determinant(D: Array, added: float = 1.0) -> Array:
+    """Return det(D + added 1) of matrices (n, n, ...)."""
     if len(D) == 1:
-        return 1 + D[0, 0]
+        return added + D[0, 0]
     if len(D) == 2:
-        return (1 + D[0, 0]) * (1 + D[1, 1]) - D[0, 1] * D[1, 0]
-    return np.linalg.det(np.moveaxis(D, (0, 1), (-2, -1)) + np.eye(len(D)))
-
-
-def _solve(A: Array, b: Array) -> Array:
-    """Solve A x = b for matrices (n, n, N) and vectors (n, N)."""
-    x = np.linalg.solve(np.moveaxis(A, -1, 0), b.T[..., None])[..., 0].T
-    return np.asarray(x, dtype=float)
+        return (added + D[0, 0]) * (added + D[1, 1]) - D[0, 1] * D[1, 0]
+    return np.linalg.det(np.moveaxis(D, (0, 1), (-2, -1)) + added * np.eye(len(D)))

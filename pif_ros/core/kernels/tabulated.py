@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import dataclasses
+import functools
 import math
+import operator
 
 import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.grid import Grid
-from pif_ros.core.kernels.formula import Array, KernelSettings
-from pif_ros.core.kernels.stencils import (choose_stencils, Integers, reach, Stencil, strides_of,
-                                           variance_in_cells)
+from pif_ros.core.kernels.lattice import Integers, reach, strides_of, variance_in_cells
+from pif_ros.core.kernels.settings import KernelSettings
+from pif_ros.core.kernels.stencils import choose_stencils, Stencil
 from pif_ros.core.models import StateModel
 from scipy import sparse
+
+Array = NDArray[np.float64]
 
 #: Weights that are worked on at a time, for the sake of the cache.
 CHUNK = 1 << 18
@@ -26,12 +30,13 @@ def dirac_feynman(model: StateModel, grid: Grid, settings: KernelSettings,
 
     A column is normalised against what it would hold if the grid went on; what leaves the grid is
     missing from it, and a periodic axis wraps.  Raises ValueError where 'sampled' weights are
-    asked for a singular diffusion matrix.
+    asked for a singular diffusion matrix, or a determinant for noise with s > 0 and an e that is
+    not square.
     """
     model = _inflated(model, grid, settings)
     parts = [_tabulated(grid, stencil, cells, settings.extent)
              for stencil, cells in choose_stencils(model, grid, settings, t)]
-    kernel = parts[0] if len(parts) == 1 else parts[0] + parts[1]
+    kernel = functools.reduce(operator.add, parts)
     if any(grid.periodic):
         kernel.sum_duplicates()
     return kernel.tocsr()
@@ -40,10 +45,12 @@ def dirac_feynman(model: StateModel, grid: Grid, settings: KernelSettings,
 def stored_elements(model: StateModel, grid: Grid, settings: KernelSettings,
                     t: float = 0.0) -> float:
     """Return about how many weights a kernel holds, from the noise alone, without making it."""
-    variance = variance_in_cells(_inflated(model, grid, settings), grid, settings, t)
-    n, widths = grid.ndim, np.sqrt(np.diag(variance))
+    n, model = grid.ndim, _inflated(model, grid, settings)
+    coarse = Grid(grid.lower, grid.upper, tuple(min(cells, 10) for cells in grid.shape))
+    variance = variance_in_cells(model, coarse, settings, t)
+    widths = np.sqrt(np.einsum('iik->ik', variance)) * (coarse.spacing / grid.spacing)[:, None]
     radii = reach(settings.tolerance, n) * widths + 0.5
-    ball = math.pi**(n / 2) / math.gamma(n / 2 + 1) * float(np.prod(radii))
+    ball = math.pi**(n / 2) / math.gamma(n / 2 + 1) * float(np.prod(radii, axis=0).mean())
     return grid.size * max(ball, 3.0**n)
 
 
@@ -55,8 +62,9 @@ def _inflated(model: StateModel, grid: Grid, settings: KernelSettings) -> StateM
     """
     if not settings.noise_inflation:
         return model
-    return dataclasses.replace(model, noise_covariance=None, vielbein=np.diag(
-        np.sqrt(settings.noise_inflation * grid.spacing)))
+    return dataclasses.replace(
+        model, noise_covariance=None, multiplicative=False, vielbein_jacobian=None, s=0.0,
+        vielbein=np.diag(np.sqrt(settings.noise_inflation * grid.spacing)))
 
 
 def _tabulated(grid: Grid, stencil: Stencil, cells: Integers, extent: int) -> sparse.csc_array:
@@ -85,16 +93,21 @@ def _columns(grid: Grid, stencil: Stencil, cells: Integers,
     step = max(1, CHUNK // stencil.offsets.shape[1])
     for first in range(0, len(cells), step):
         some = cells[first:first + step]
-        w = stencil.weights(some)
+        w, leans = stencil.weights(some)
         keep = w > 0
-        rows = base[some, None] + moved
-        edge = np.flatnonzero(~whole[some])
-        rows[edge], inside = _land(
-            grid, start[:, some[edge], None] + stencil.offsets[:, None], strides)
-        keep[edge] &= inside
+        if leans is None:
+            rows = base[some, None] + moved
+            edge = np.flatnonzero(~whole[some])
+            rows[edge], inside = _land(
+                grid, start[:, some[edge], None] + stencil.offsets[:, None], strides)
+            keep[edge] &= inside
+        else:
+            rows, inside = _land(
+                grid, start[:, some, None] + stencil.offsets[:, None] + leans, strides)
+            keep &= inside
         if extent:
-            for i in range(grid.ndim):
-                keep &= np.abs(stencil.shift[i, some, None] + stencil.offsets[i]) <= extent
+            moves = stencil.shift[:, some, None] + stencil.offsets[:, None]
+            keep &= np.all(np.abs(moves if leans is None else moves + leans) <= extent, axis=0)
         yield some, w[keep], rows[keep], keep.sum(axis=1)
 
 
