@@ -1,16 +1,17 @@
 """Named systems."""
 
 import inspect
+import math
 
 import numpy as np
-from pif_ros.core.systems import (
-    bearing_sensor, position_2d, position_sensor, range_sensor, SYSTEMS)
+from pif_ros.core.systems import (bearing_sensor, position_2d, position_sensor, range_sensor,
+                                  SYSTEMS)
 import pytest
 
 X = np.linspace(-3, 3, 13)
 X1, X2 = np.meshgrid(X, X)
 
-#: Drift, sigma and measurement as printed.
+#: Drift, strength of the noise, measurement and strength of its noise, as printed.
 SCALAR = {
     # dx = sigma dv  [TM, Eq. 122]
     'wiener': (lambda x: 0 * x, 1.0, lambda x: x, 1.0),
@@ -22,11 +23,21 @@ SCALAR = {
     'cosine_drift': (lambda x: 1.2 * np.cos(3 * x), 0.3, lambda x: x, 0.1),
     # dx = -sin(x (x^2 - 1)) dt + 3 dv, y = x^2 + w  [TM, Eq. 126]
     'sine_cubic_drift': (lambda x: np.sin(x - x**3), 3.0, lambda x: x * x, 1.0),
+    # dx = 1.2 cos(3 x) dt + 0.3 dv, dy = arctan(x) dt + 0.05 dw  [PMC, Eq. 40]
+    'arctangent_sensor': (lambda x: 1.2 * np.cos(3 * x), 0.3, np.arctan, 0.05),
+    # dx = dv, dy = x^3 dt + dw  [PMC, Eqs. 42, 43]
+    'cubic_sensor': (lambda x: 0 * x, 1.0, lambda x: x**3, 1.0),
 }
 
 
 def first_sensor(system):
     return next(iter(system.sensors.values()))
+
+
+def states(n, shape, positive=False):
+    """Return some states, only positive ones where a model has no others."""
+    x = np.random.default_rng(0).normal(size=(n,) + shape)
+    return np.abs(x) + 0.1 if positive else x
 
 
 @pytest.mark.parametrize('name', SCALAR)
@@ -39,6 +50,32 @@ def test_scalar_systems_are_what_is_printed(name):
     np.testing.assert_allclose(system.model.diffusion(0.0), [[sigma**2]], rtol=1e-12)
     np.testing.assert_allclose(sensor.function(X[None], 0.0)[0], h(X), atol=1e-12)
     np.testing.assert_allclose(sensor.noise(0.0), [[sigma_y**2]], rtol=1e-12)
+
+
+def test_the_arctangent_sensors_drift_has_the_constants_of_the_paper():
+    system = SYSTEMS['arctangent_sensor'](a=0.7, b=2.0, sigma_x=0.4, sigma_y=0.0125)
+    np.testing.assert_allclose(system.model.drift(X[None], 0.0)[0], 0.7 * np.cos(2 * X),
+                               atol=1e-12)
+    np.testing.assert_allclose(system.model.diffusion(0.0), [[0.16]], rtol=1e-12)
+    np.testing.assert_allclose(first_sensor(system)().noise(0.0), [[0.0125**2]], rtol=1e-12)
+
+
+def test_geometric_brownian_motion_has_noise_in_proportion_to_the_state():
+    system = SYSTEMS['geometric_brownian_motion'](mu=-0.2, sigma=0.4, sigma_y=0.3)
+    x = np.array([[0.5, 1.0, 3.0]])
+    np.testing.assert_allclose(system.model.drift(x, 0.0), -0.2 * x, rtol=1e-12)
+    np.testing.assert_allclose(system.model.diffusion_at(x, 0.0)[0], (0.4 * x)**2, rtol=1e-12)
+    sensor = system.sensors['logarithm']()
+    np.testing.assert_allclose(sensor.function(x, 0.0), np.log(x), rtol=1e-12)
+    assert first_sensor(system) is system.sensors['logarithm']
+    np.testing.assert_array_equal(system.sensors['position']().function(x, 0.0), x)
+    np.testing.assert_allclose(sensor.noise(0.0), [[0.09]], rtol=1e-12)
+
+
+def test_a_logarithm_gives_no_likelihood_to_what_no_path_reaches():
+    sensor = SYSTEMS['geometric_brownian_motion']().sensors['logarithm']()
+    found = sensor.log_likelihood([0.0], sensor.function(np.array([[-1.0, 0.0, 1.0]]), 0.0))
+    assert not np.any(found[:2] > -np.inf) and np.isfinite(found[2])
 
 
 def test_coupled_trigonometric_is_what_is_printed():
@@ -55,6 +92,75 @@ def test_coupled_trigonometric_is_what_is_printed():
     np.testing.assert_allclose(sensor.noise(0.0), 0.04 * np.eye(2), rtol=1e-12)
 
 
+def test_cubic_bearing_is_what_is_meant():
+    # dx1 = (-189 x2^3 + 9.16 x2) dt + 0.001 dv1, dx2 = -dt / 3 + 0.03 dv2,
+    # y = arcsin(x2 / sqrt(x1^2 + x2^2)) + 0.2 w  [Sensors, Eqs. 28, 29; the square is missing]
+    system = SYSTEMS['cubic_bearing']()
+    sensor = first_sensor(system)()
+    x = np.stack([X1, X2])
+    np.testing.assert_allclose(system.model.drift(x, 0.0),
+                               [-189 * X2**3 + 9.16 * X2, 0 * X2 - 1 / 3], atol=1e-9)
+    np.testing.assert_allclose(system.model.diffusion(0.0), np.diag([1e-6, 9e-4]), rtol=1e-12)
+    with np.errstate(invalid='ignore'):
+        ratio = X2 / np.sqrt(X1**2 + X2**2)
+    # arcsin's argument is rounded, and its slope has no end at 1: sqrt(2e-16) = 1.5e-8
+    np.testing.assert_allclose(sensor.function(x, 0.0)[0],
+                               np.arcsin(np.nan_to_num(ratio).clip(-1, 1)), atol=3e-8)
+    np.testing.assert_allclose(sensor.noise(0.0), [[0.04]], rtol=1e-12)
+
+
+def test_the_bearing_of_the_origin_is_a_number():
+    sensor = first_sensor(SYSTEMS['cubic_bearing']())()
+    assert sensor.function(np.zeros(2), 0.0).tolist() == [0.0]
+
+
+def printed_4d(x):
+    """Return f, e, and h of both sensors at one state, entry by entry  [Sensors, Eqs. 33-35]."""
+    x1, x2, x3, x4 = map(float, x)
+    sin, cos, tanh = math.sin, math.cos, math.tanh
+    f = [x2 - x1, x1 * (1 - x3) - x2, x1 * x2 - x3, (1 - x2) * x3 - x4]
+    d = [5 + 0.1 * tanh(x1 + x2), 5 + 0.1 * tanh(x2 - x3**2), 5 + 0.1 * tanh(x3 - x4),
+         5 + 0.1 * tanh(x1 - x4)]
+    e = [[d[0], sin(x2), cos(x3), sin(x4)], [sin(x4), d[1], cos(x3), sin(x1)],
+         [cos(x1), sin(x4), d[2], cos(x3)], [sin(x1), cos(x2), sin(x3), d[3]]]
+    first = [sin(x1 + x2), cos(x2 - x3), sin(x3 + x4), sin(x4 - x1)]
+    second = [math.atan(math.sqrt(x1**2 + x3**2)),
+              math.acos(x1 / math.sqrt(1 + x1**2 + x4**2)),
+              math.asin(x4 / math.sqrt(1 + x3**2 + x4**2)),
+              math.atan(1 + x4**2 + sin(x1)**2)]
+    return f, e, first, second
+
+
+def test_multiplicative_4d_is_what_is_printed():
+    system = SYSTEMS['multiplicative_4d']()
+    model, sensors = system.model, system.sensors
+    x = 4 * states(4, (7, 3))
+    found = (model.drift(x, 0.0), model.vielbein_at(x, 0.0),
+             sensors['trigonometric']().function(x, 0.0),
+             sensors['inverse_trigonometric'](c=0.7).function(x, 0.0) / 0.7)
+    for index in np.ndindex(7, 3):
+        for ours, printed in zip(found, printed_4d(x[(slice(None),) + index])):
+            np.testing.assert_allclose(ours[(...,) + index], printed, atol=1e-12)
+    assert model.names == ('x1', 'x2', 'x3', 'x4')
+    assert first_sensor(system) is sensors['trigonometric']
+    for sensor in (sensors['trigonometric'](), sensors['inverse_trigonometric']()):
+        np.testing.assert_array_equal(sensor.noise(0.0), np.eye(4))
+    np.testing.assert_allclose(sensors['inverse_trigonometric']().function(x, 0.0),
+                               0.1 * found[3], rtol=1e-12)
+
+
+def test_lorenz_63_rests_where_lorenz_said():
+    system = SYSTEMS['lorenz_63'](sigma=10.0, rho=20.0, beta=2.0, sigma_x=0.5, sigma_y=0.1)
+    # x1 = x2 = sqrt(beta (rho - 1)), x3 = rho - 1  [Lorenz 1963, section 7]
+    rest = np.array([math.sqrt(38), math.sqrt(38), 19.0])
+    np.testing.assert_allclose(system.model.drift(rest, 0.0), 0, atol=1e-12)
+    np.testing.assert_allclose(system.model.drift(np.array([1.0, 2.0, 3.0]), 0.0),
+                               [10.0, 15.0, -4.0], rtol=1e-12)
+    np.testing.assert_allclose(system.model.diffusion(0.0), 0.25 * np.eye(3), rtol=1e-12)
+    np.testing.assert_array_equal(first_sensor(system)().function(rest, 0.0), rest[:1])
+    np.testing.assert_array_equal(system.sensors['position']().function(rest, 0.0), rest)
+
+
 def test_position_2d_is_a_random_walk_that_reads_x_and_y():
     model = position_2d(diffusion=1.5).model
     assert model.names == ('x', 'y')
@@ -62,21 +168,53 @@ def test_position_2d_is_a_random_walk_that_reads_x_and_y():
     np.testing.assert_allclose(model.diffusion(0.0), 2.25 * np.eye(2), rtol=1e-12)
 
 
+def differences(function, x):
+    """Return d function / dx_j on a new axis behind those of function(x) that are no state's."""
+    columns = []
+    for j in range(len(x)):
+        # a difference over 2e-5 has an error of 1e-10 f''' / 6 and 1e-11 of rounding
+        step = np.zeros(len(x)).reshape((len(x),) + (1,) * (x.ndim - 1))
+        step[j] = 1e-5
+        columns.append((function(x + step) - function(x - step)) / 2e-5)
+    return np.stack(columns, axis=columns[0].ndim - x.ndim + 1)
+
+
 @pytest.mark.parametrize('name', SYSTEMS)
 @pytest.mark.parametrize('shape', [(), (5,), (2, 3)])
-def test_models_keep_the_shape_of_states_and_say_their_own_slope(name, shape):
+def test_models_keep_the_shape_of_states_and_say_their_own_slopes(name, shape):
     model = SYSTEMS[name]().model
     n = model.ndim
-    x = np.random.default_rng(0).normal(size=(n,) + shape)
+    x = states(n, shape)
     assert np.shape(model.drift(x, 0.0)) == (n,) + shape
     slope = model.jacobian(x, 0.0)
-    assert slope.shape == (n, n) + shape
-    for j in range(n):
-        # a difference over 2e-5 has an error of 1e-10 f''' / 6 and 1e-11 of rounding
-        step = np.zeros(n).reshape((n,) + (1,) * len(shape))
-        step[j] = 1e-5
-        difference = (model.drift(x + step, 0.0) - model.drift(x - step, 0.0)) / 2e-5
-        np.testing.assert_allclose(slope[:, j], difference, atol=1e-7)
+    assert slope.shape == (n, n) + shape and model.drift_jacobian is not None
+    # the largest third derivative here, of cubic_bearing, is 1134: 2e-8
+    np.testing.assert_allclose(slope, differences(lambda y: model.drift(y, 0.0), x), atol=1e-7)
+    if model.multiplicative:
+        columns = model.noise(0.0).shape[0]
+        assert model.vielbein_at(x, 0.0).shape == (n, columns) + shape
+        np.testing.assert_allclose(model.vielbein_jacobian(x, 0.0),
+                                   differences(lambda y: model.vielbein_at(y, 0.0), x), atol=1e-7)
+
+
+@pytest.mark.parametrize('name', SYSTEMS)
+@pytest.mark.parametrize('shape', [(), (5,), (2, 3)])
+def test_sensors_without_constants_keep_the_shape_of_states(name, shape):
+    system = SYSTEMS[name]()
+    x = states(system.model.ndim, shape, positive=True)
+    made = [sensor() for sensor in system.sensors.values() if not any(
+        p.default is p.empty for p in inspect.signature(sensor).parameters.values())]
+    assert made or name == 'position_2d'
+    for sensor in made:
+        assert sensor.function(x, 0.0).shape == (sensor.size,) + shape
+        assert np.all(np.isfinite(sensor.function(x, 0.0)))
+
+
+def test_a_drift_of_whole_numbers_is_none_of_whole_numbers():
+    for name in ('cubic_bearing', 'coupled_trigonometric', 'multiplicative_4d', 'lorenz_63'):
+        model = SYSTEMS[name]().model
+        whole = np.arange(1, model.ndim + 1)
+        np.testing.assert_array_equal(model.drift(whole, 0.0), model.drift(whole * 1.0, 0.0))
 
 
 def test_ranges_are_scaled_and_biased_distances():
@@ -105,7 +243,9 @@ def test_positions_read_both_coordinates():
 
 def test_the_names_are_those_promised_and_every_constant_has_a_default():
     promised = {'wiener', 'ornstein_uhlenbeck', 'benes', 'double_well', 'cosine_drift',
-                'sine_cubic_drift', 'coupled_trigonometric', 'position_2d'}
+                'sine_cubic_drift', 'coupled_trigonometric', 'cubic_bearing', 'multiplicative_4d',
+                'arctangent_sensor', 'cubic_sensor', 'geometric_brownian_motion', 'lorenz_63',
+                'position_2d'}
     assert promised <= SYSTEMS.keys()
     for name, system in SYSTEMS.items():
         assert system.__name__ == name and system.__doc__
@@ -120,6 +260,14 @@ def test_the_names_are_those_promised_and_every_constant_has_a_default():
     (lambda: SYSTEMS['sine_cubic_drift'](sigma_y=0), 'sigma_y: expected a positive', '0'),
     (lambda: SYSTEMS['coupled_trigonometric'](sigma_x=float('inf')),
      'sigma_x: expected a positive number', 'inf'),
+    (lambda: SYSTEMS['cubic_bearing'](sigma_x2=0.0), 'sigma_x2: expected a positive', '0'),
+    (lambda: SYSTEMS['cubic_sensor'](sigma_x=0.0), 'sigma_x: expected a positive', '0'),
+    (lambda: SYSTEMS['arctangent_sensor'](a=float('nan')), 'a: expected a finite', 'nan'),
+    (lambda: SYSTEMS['geometric_brownian_motion'](sigma=0.0), 'sigma: expected a posit', '0'),
+    (lambda: SYSTEMS['geometric_brownian_motion'](mu=True), 'mu: expected a finite', 'True'),
+    (lambda: SYSTEMS['lorenz_63'](rho=float('inf')), 'rho: expected a finite number', 'inf'),
+    (lambda: SYSTEMS['multiplicative_4d']().sensors['inverse_trigonometric'](c='x'),
+     'c: expected a finite number', 'x'),
     (lambda: position_2d(diffusion=-0.5), 'diffusion: expected a positive number', '-0.5'),
     (lambda: position_sensor(0.0), 'sigma: expected a positive number', '0'),
     (lambda: range_sensor([1.0], 0.1), 'landmark: expected 2 finite numbers', '[1.0]'),
