@@ -33,9 +33,12 @@ setup(
             'ros-jazzy-std-msgs',
             'ros-jazzy-std-srvs',
         ],
-        'plot': ['matplotlib', 'tqdm'],
+        'plot': ['matplotlib', 'tqdm', 'joblib'],
+        'wavelets': ['PyWavelets'],
+        'cluster': ['dask[distributed]'],
         # Jazzy's plugins crash pytest 9.
-        'test': ['pytest>=7.4,<9', 'pytest-xdist', 'hypothesis', 'setuptools'],
+        'test': ['pytest>=7.4,<9', 'pytest-xdist', 'hypothesis', 'setuptools', 'PyWavelets',
+                 'filterpy', 'dask[distributed]'],
         # The plugins are those with which Jazzy runs ament_flake8; without them it checks less.
         'lint': [
             'ros-jazzy-ament-flake8',

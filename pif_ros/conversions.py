@@ -230,3 +230,59 @@ def map_message(belief: GridBelief, stamp_ns: int, frame: str) -> OccupancyGrid:
 def _nearest(cells: int, stretch: float) -> NDArray[np.int64]:
     """Return which of some cells is shown in each cell of a finer axis."""
     return np.minimum((np.arange(round(cells * stretch)) + 0.5) / stretch, cells - 1).astype(int)
+
+
+def field_writer(message: Any, paths: Sequence[str],
+                 size: int) -> Callable[[Any, Sequence[float]], None]:
+    """
+    Return a function that puts so many numbers into a message of this class.
+
+    What a field_reader with the same paths reads of it then.  An array of any length holds what
+    the other paths leave.  Raises ValueError for paths that cannot hold just so many numbers.
+    """
+    places = [_path(message, path) for path in paths or ('data',)]
+    counts = [_room(message(), steps) for steps in places]
+    known = sum(count or 0 for count in counts)
+    if counts.count(None) > 1 or known > size or (None not in counts and known < size):
+        raise ValueError(f'expected fields that hold {size} numbers, got {list(paths)}')
+    ends = np.cumsum([size - known if count is None else count for count in counts]).tolist()
+
+    def write(msg: Any, values: Sequence[float]) -> None:
+        for steps, begin, end in zip(places, [0, *ends], ends):
+            _put(msg, steps, values[begin:end])
+
+    return write
+
+
+def _room(msg: Any, steps: Sequence[str | int]) -> int | None:
+    """Return how many numbers the place at the end of a path takes, None for any number."""
+    if any(isinstance(step, int) for step in steps[:-1]):
+        raise ValueError(f'expected an index at the end of a path only, got {list(steps)}')
+    found = msg
+    for step in steps:
+        if isinstance(step, int):
+            return 1
+        found = getattr(found, step)
+    if isinstance(found, (bool, bytes)):
+        raise ValueError(f'expected fields of real or whole numbers, got {list(steps)}')
+    return 1 if isinstance(found, (int, float)) else len(found) or None
+
+
+def _put(msg: Any, steps: Sequence[str | int], values: Sequence[float]) -> None:
+    """Write numbers to the end of a path, rounded where it takes whole ones only."""
+    names = [step for step in steps if isinstance(step, str)]
+    for name in names[:-1]:
+        msg = getattr(msg, name)
+    found = getattr(msg, names[-1])
+    if isinstance(found, (int, float)):
+        setattr(msg, names[-1], type(found)(round(values[0]) if isinstance(found, int)
+                                            else values[0]))
+        return
+    kind = found.dtype.char if hasattr(found, 'dtype') else found.typecode
+    numbers = [float(v) if kind in 'fd' else round(v) for v in values]
+    if isinstance(steps[-1], int):
+        kept = found.tolist()
+        kept += [type(numbers[0])(0)] * (steps[-1] + 1 - len(kept))
+        kept[steps[-1]] = numbers[0]
+        numbers = kept
+    setattr(msg, names[-1], numbers)

@@ -12,8 +12,7 @@ from typing import Any
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from pif_ros import conversions, interface, parameters
 from pif_ros.accounts import Accounts, Throttle
-from pif_ros.config import build_tracker, ConfigError, find_system
-from pif_ros.core.belief import GridBelief
+from pif_ros.config import build_tracker, ConfigError, describe, find_grid, find_system
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import CorrectionFailed, Estimate, Measurement
 from pif_ros.outputs import Outputs
@@ -67,7 +66,9 @@ class FilterNode(Node):
         self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
         self._live: dict[str, Any] = {'pose.estimator': self.config.pose.estimator,
                                       'density.rate': self.config.density.rate}
-        self._outputs = Outputs(self, self.config, find_system(self.config).model, self._live)
+        model = find_system(self.config).model
+        self._outputs = Outputs(self, self.config, model, find_grid(self.config, model),
+                                self._live)
         self._warm_up()
         self._connect()
 
@@ -119,7 +120,7 @@ class FilterNode(Node):
                                  f'got {stamp_ns / NANOSECONDS} s')
             mean, covariance = conversions.gaussian_from_pose(
                 msg.pose, self._outputs.pose_axes, prior.mean(), prior.covariance())
-            belief = GridBelief.gaussian(prior.grid, mean, covariance)
+            belief = self.tracker.filter.gaussian(mean, covariance)
         except ValueError as error:
             account.rejected['no belief'] += 1
             self.report('initialpose', f'initialpose: {error}')
@@ -136,7 +137,7 @@ class FilterNode(Node):
 
     @guarded
     def _on_global(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
-        self._restart(GridBelief.uniform(self.tracker.prior.grid), None)
+        self._restart(self.tracker.filter.uniform(), None)
         return response
 
     @guarded
@@ -233,12 +234,11 @@ class FilterNode(Node):
 
     def _judge(self) -> None:
         """Count and tell which of the new measurements the belief hardly allows, or not at all."""
-        for measurement, log_evidence in self.tracker.corrections:
+        for made in self.tracker.corrections:
+            measurement, surprise = made.measurement, made.log_evidence - made.log_peak
             if measurement not in self._unjudged:
                 continue
             self._unjudged.remove(measurement)
-            sensor = self.tracker.filter.sensors[measurement.source]
-            surprise = log_evidence - sensor.log_peak(measurement.stamp_ns / NANOSECONDS)
             if surprise < OUTLIER:
                 self.accounts.sources[measurement.source].outliers += 1
                 self.report(f'{measurement.source}: outlier', f'{measurement.source}: ' + (
@@ -255,7 +255,7 @@ class FilterNode(Node):
         arriving, self._arrivals_seen = self._arrivals != self._arrivals_seen, self._arrivals
         return arriving and now - self._burst_since < PATIENCE
 
-    def _restart(self, belief: GridBelief | None, stamp_ns: int | None) -> None:
+    def _restart(self, belief: Any, stamp_ns: int | None) -> None:
         self.drain()
         self._unjudged.clear()
         self._outputs.restart()
@@ -263,7 +263,7 @@ class FilterNode(Node):
 
     # What goes out
 
-    def _publish(self, estimate: Estimate[GridBelief]) -> None:
+    def _publish(self, estimate: Estimate[Any]) -> None:
         """Publish an estimate, but never with an older stamp than the last."""
         if estimate.stamp_ns is None:
             return
@@ -293,11 +293,7 @@ class FilterNode(Node):
     def _warm_up(self) -> None:
         """Do before the first measurement what need not be done at it."""
         began = time.perf_counter()
-        try:
-            what = self.tracker.filter.describe()
-        except ValueError as error:
-            section = 'kernel.' if str(error).startswith('weights:') else 'model.name: '
-            raise ConfigError(f'{section}{error}') from None
+        what = describe(self.config, self.tracker.filter)
         self.get_logger().info(f'{self.config.model.name}: {what}, made in '
                                f'{time.perf_counter() - began:.2f} s')
         for remark in [*self.tracker.filter.remarks(), *self._speed()]:
@@ -305,7 +301,8 @@ class FilterNode(Node):
 
     def _speed(self) -> list[str]:
         """Return a sentence where prediction is slower than time."""
-        filter_, step = self.tracker.filter, self.config.kernel.time_step
+        filter_ = self.tracker.filter
+        step = filter_.time_step_ns / NANOSECONDS
         needed = []
         for _ in range(3):
             began = time.perf_counter()

@@ -7,8 +7,8 @@ from typing import Any
 
 from pif_ros import conversions, interface
 from pif_ros.config import Config, ConfigError, state_axes
-from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import NANOSECONDS
+from pif_ros.core.grid import Grid
 from pif_ros.core.models import StateModel
 from rclpy.node import Node
 
@@ -17,13 +17,14 @@ class Outputs:
     """
     The publishers of a node, and which states go out on them.
 
-    pose_axes: the state that is x, y, z, roll, pitch and yaw, None for none.  live: the values of
+    pose_axes: the state that is x, y, z, roll, pitch and yaw, None for none.  grid: the cells on
+    which a density is shown, whatever the filter.  live: the values of
     the parameters that may change.  Raises ConfigError for axes that the model has not.
     """
 
-    def __init__(self, node: Node, config: Config, model: StateModel,
+    def __init__(self, node: Node, config: Config, model: StateModel, grid: Grid,
                  live: Mapping[str, Any]) -> None:
-        self._config, self._model, self._live = config, model, live
+        self._config, self._model, self._grid, self._live = config, model, grid, live
         self.pose_axes = _pose_axes(config, model)
         self._plane = [axis for axis in self.pose_axes[:2] if axis is not None]
         shown = state_axes('density.axes', config.density.axes or model.names, model)
@@ -37,7 +38,7 @@ class Outputs:
         self._publishers = {
             out: node.create_publisher(out.type, out.name, out.qos) for out in wanted}
 
-    def publish(self, belief: GridBelief, stamp_ns: int) -> None:
+    def publish(self, belief: Any, stamp_ns: int) -> None:
         """Publish a belief that holds at a stamp; the density only when it is due."""
         frame = self._config.frame_id
         point = belief.mode() if self._live['pose.estimator'] == 'mode' else belief.mean()
@@ -52,11 +53,11 @@ class Outputs:
         if self._is_heard(interface.DENSITY):
             names, units = self._model.names, self._model.units
             self._publishers[interface.DENSITY].publish(conversions.density_message(
-                belief.marginal(self._density_axes), [names[i] for i in self._density_axes],
+                belief.on(self._grid, self._density_axes), [names[i] for i in self._density_axes],
                 [units[i] for i in self._density_axes] if units else ()))
         if self._is_heard(interface.DENSITY_MAP):
             self._publishers[interface.DENSITY_MAP].publish(conversions.map_message(
-                belief.marginal(self._plane), stamp_ns, frame))
+                belief.on(self._grid, self._plane), stamp_ns, frame))
 
     def restart(self) -> None:
         """Let the next density go out at once."""

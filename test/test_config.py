@@ -42,7 +42,7 @@ WRONG = [
     # names that nobody knows
     wrong('grid.lowr', [-1.0, -1.0], "'grid.lower'?"),
     wrong('frameid', 'map', "'frame_id'?"),
-    wrong('filter.kind', 'df', "'filter.type'?"),
+    wrong('filter.tpe', 'df', "'filter.type'?"),
     wrong('measurements.main.tpic', 'y', "'measurements.main.topic'?"),
     wrong('measurements.other.topic', 'y', 'known parameter'),
     wrong('kernel', 3, 'known parameter'),
@@ -53,11 +53,18 @@ WRONG = [
     wrong('model.name', 'os.path', 'coupled_trigonometric'),
     wrong('model.name', '', 'a name'),
     wrong('filter.type', 'kalman', 'df'),
+    wrong('filter.scheme', 'strang', 'symmetric', 'pre_printed'),
     wrong('prior.type', 'flat', 'gaussian', 'uniform'),
     wrong('pose.estimator', 'median', 'mean', 'mode'),
     wrong('kernel.jacobian', 'exact', 'determinant', 'exponential'),
     wrong('kernel.weights', 'all', 'auto', 'sampled', 'moments'),
     wrong('measurements.main.sensor', 'sonar', 'position', 'range', 'bearing', of=PLANE),
+    # what does not go together
+    wrong('measurements.names', ['a', 'b'], 'one source', 'dfy', of={
+        **SMALL, 'filter.type': 'dfy', 'measurements.a.topic': 'a', 'measurements.b.topic': 'b'}),
+    wrong('operator.steps', 4, '1', 'particle', of={**SMALL, 'filter.type': 'particle'}),
+    wrong('operator.file', '/tmp/kernel', "''", 'dfy', of={**SMALL, 'filter.type': 'dfy'}),
+    wrong('filter.significance', 0.5, '0', 'ekf', of={**SMALL, 'filter.type': 'ekf'}),
     # lengths
     wrong('grid.lower', [-6.0], '2 values', 'x1, x2'),
     wrong('grid.upper', [6.0, 6.0, 6.0], '2 values'),
@@ -67,6 +74,18 @@ WRONG = [
     wrong('prior.mean', [0.0], '2 values'),
     wrong('prior.covariance_diagonal', [1.0, 1.0, 1.0], '2 values'),
     wrong('measurements.names', [], 'at least one'),
+    # filters and operators
+    wrong('kernel.s', 0.5 + 1, '0 to 1', '-1'),
+    wrong('filter.significance', 1.0, 'below 1'),
+    wrong('filter.resample_below', 1.5, '0 to 1', of={**SMALL, 'filter.type': 'particle'}),
+    wrong('filter.seed', -1, '0 to', of={**SMALL, 'filter.type': 'particle'}),
+    wrong('filter.particles', 0, '1 to'),
+    wrong('operator.steps', 2000, '1 to 1000'),
+    wrong('operator.level', 40, '1 to', of={**SMALL, 'operator.wavelet': 'db4'}),
+    wrong('operator.threshold', 2.0, 'below 1', of={**SMALL, 'operator.wavelet': 'db4'}),
+    wrong('operator.wavelet', 'mexican', 'wavelet'),
+    wrong('operator.file', '/dev/null', 'stored kernel', got='no regular file'),
+    wrong('operator.file', '/nowhere/kernel', 'can be read or made'),
     # numbers that are none
     wrong('grid.lower', [NAN, -6.0], 'finite'),
     wrong('grid.upper', [6.0, INF], 'finite'),
@@ -250,7 +269,8 @@ INTEGERS = {
     'prior.covariance_diagonal': [10, 9], 'kernel.time_step': 1, 'kernel.r': 1,
     'pose.unestimated_variance': 2, 'publish.rate': 10, 'density.rate': 2, 'time.history': 3,
     'time.history_memory': 100, 'time.max_ahead': 2, 'time.max_forecast': 30,
-    'time.max_gap': 60, 'kernel.noise_inflation': 1,
+    'time.max_gap': 60, 'kernel.noise_inflation': 1, 'kernel.s': 0, 'filter.significance': 0,
+    'filter.resample_below': 1, 'operator.threshold': 0,
     'model.params.sigma_x': 1, 'model.params.sigma_y': 2}
 
 

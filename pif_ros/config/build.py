@@ -2,51 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+import dataclasses
 from importlib.metadata import entry_points, EntryPoint
 import inspect
 import math
-import os
-from pathlib import Path
-import re
 from typing import Any, TypeVar
 
 import numpy as np
-from pif_ros.config.kinds import ConfigError
+from pif_ros.config.filters import held_bytes, make_filter
+from pif_ros.config.kinds import ConfigError, named
 from pif_ros.config.table import Config
-from pif_ros.core.belief import GridBelief
-from pif_ros.core.filters import DiracFeynmanFilter
+from pif_ros.core.filters import Filter
 from pif_ros.core.grid import Grid
-from pif_ros.core.kernels import KernelSettings, stored_elements
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.systems import System, SYSTEMS
 from pif_ros.core.tracker import Tracker
 
 Made = TypeVar('Made')
 
-#: Bytes per stored weight while a kernel is made: twice its value and its index.
-BYTES_PER_WEIGHT = 24
-#: Arrays as large as the grid that a filter works with.
-ARRAYS_PER_GRID = 40
 
-
-def build_tracker(config: Config) -> Tracker[GridBelief]:
+def build_tracker(config: Config) -> Tracker[Any]:
     """Return the tracker of a configuration; ConfigError names the parameter that is wrong."""
     system = find_system(config)
     filter_ = build_filter(config, system)
-    depth = min(config.time.history_memory * 1e6 / (8 * filter_.grid.size), 1e9)
-    return Tracker(filter_, _prior(config, filter_.grid), config.time.history, max(int(depth), 2))
+    prior = _prior(config, filter_, system.model)
+    depth = min(config.time.history_memory * 1e6 / held_bytes(prior), 1e9)
+    return Tracker(filter_, prior, config.time.history, max(int(depth), 2))
 
 
-def build_filter(config: Config, system: System) -> DiracFeynmanFilter:
+def build_filter(config: Config, system: System) -> Filter[Any]:
     """Return the filter of a configuration over a system."""
-    grid = _grid(config, system.model)
-    settings = _kernel(config)
-    _check_memory(system.model, grid, settings)
+    model = _in_sense(config, system.model)
     sensors = {name: _sensor(config, name, system) for name in config.measurements.names}
-    return DiracFeynmanFilter(system.model, grid, sensors, settings,
-                              config.filter.average_cells)
+    return make_filter(config, model, find_grid(config, model), sensors)
+
+
+def find_grid(config: Config, model: StateModel) -> Grid:
+    """Return the grid of a configuration for the states of a model."""
+    states = ', '.join(model.names)
+    for name in ('shape', 'lower', 'upper', 'periodic'):
+        given = getattr(config.grid, name)
+        if len(given) != model.ndim and not (name == 'periodic' and not given):
+            raise ConfigError(f'grid.{name}: expected {model.ndim} values, one for each '
+                              f'state ({states}), got {list(given)}')
+    with named('grid'):
+        return Grid(config.grid.lower, config.grid.upper, config.grid.shape,
+                    config.grid.periodic)
 
 
 def find_system(config: Config) -> System:
@@ -77,40 +79,27 @@ def state_axes(name: str, given: Sequence[str], model: StateModel) -> tuple[int 
     return tuple(model.names.index(state) if state else None for state in given)
 
 
-def _grid(config: Config, model: StateModel) -> Grid:
-    states = ', '.join(model.names)
-    for name in ('shape', 'lower', 'upper', 'periodic'):
-        given = getattr(config.grid, name)
-        if len(given) != model.ndim and not (name == 'periodic' and not given):
-            raise ConfigError(f'grid.{name}: expected {model.ndim} values, one for each '
-                              f'state ({states}), got {list(given)}')
-    with _named('grid'):
-        return Grid(config.grid.lower, config.grid.upper, config.grid.shape,
-                    config.grid.periodic)
+def _in_sense(config: Config, model: StateModel) -> StateModel:
+    """Return a model with its noise in the sense that is asked for."""
+    s = config.kernel.s
+    if s != -1 and not 0 <= s <= 1:
+        raise ConfigError(f'kernel.s: expected a number from 0 to 1, or -1, got {s}')
+    return model if s == -1 else dataclasses.replace(model, s=s)
 
 
-def _kernel(config: Config) -> KernelSettings:
-    """Return how the kernel of a configuration is made."""
-    kernel = config.kernel
-    with _named('kernel'):
-        return KernelSettings(kernel.time_step, kernel.r, kernel.jacobian, kernel.extent,
-                              kernel.weights, kernel.tolerance, kernel.noise_inflation)
-
-
-def _prior(config: Config, grid: Grid) -> GridBelief:
+def _prior(config: Config, filter_: Filter[Any], model: StateModel) -> Any:
     if config.prior.type == 'uniform':
-        return GridBelief.uniform(grid)
+        return filter_.uniform()
     for name in ('mean', 'covariance_diagonal'):
         given = getattr(config.prior, name)
-        if len(given) != grid.ndim:
-            raise ConfigError(f'prior.{name}: expected {grid.ndim} values, one for each state, '
+        if len(given) != model.ndim:
+            raise ConfigError(f'prior.{name}: expected {model.ndim} values, one for each state, '
                               f'got {list(given)}')
     if min(config.prior.covariance_diagonal) <= 0:
         raise ConfigError('prior.covariance_diagonal: expected positive numbers, got '
                           f'{list(config.prior.covariance_diagonal)}')
-    with _named('prior'):
-        return GridBelief.gaussian(grid, config.prior.mean,
-                                   np.diag(config.prior.covariance_diagonal))
+    with named('prior'):
+        return filter_.gaussian(config.prior.mean, np.diag(config.prior.covariance_diagonal))
 
 
 def _sensor(config: Config, source: str, system: System) -> Sensor:
@@ -148,7 +137,7 @@ def _made(prefix: str, maker: Callable[..., Made], params: Mapping[str, Any]) ->
     values = {name: _constant(f'{prefix}.{name}', value, wanted[name].default)
               for name, value in params.items()}
     try:
-        with _named(prefix):
+        with named(prefix):
             return maker(**values)
     except ArithmeticError as error:
         raise ConfigError(f'{prefix}: expected constants that can be reckoned with, '
@@ -165,38 +154,3 @@ def _constant(name: str, value: Any, default: Any) -> Any:
             raise ConfigError(f'{name}: expected a finite number, got {value!r}')
         return float(value)
     return tuple(value) if hasattr(value, '__iter__') and not isinstance(value, str) else value
-
-
-def _check_memory(model: StateModel, grid: Grid, settings: KernelSettings) -> None:
-    """Refuse a grid or a kernel that would not fit, before anything of its size is made."""
-    free = _available_memory()
-    cells, where = float(np.prod(np.array(grid.shape, dtype=float))), list(grid.shape)
-    needed = 8 * ARRAYS_PER_GRID * cells
-    if cells < np.iinfo(np.int32).max:
-        needed += BYTES_PER_WEIGHT * stored_elements(model, grid, settings)
-    if needed > 0.8 * free or cells >= np.iinfo(np.int32).max:
-        raise ConfigError(f'grid.shape: expected a grid whose kernel fits into the '
-                          f'{free / 1e9:.1f} GB of memory that are free, got {where} '
-                          f'({needed / 1e9:.3g} GB)')
-
-
-def _available_memory() -> int:
-    """Return the bytes that a process may still have; what the kernel caches counts as free."""
-    try:
-        found = re.search(r'MemAvailable:\s*(\d+) kB', Path('/proc/meminfo').read_text())
-    except OSError:
-        found = None
-    return (int(found[1]) * 1024 if found
-            else os.sysconf('SC_AVPHYS_PAGES') * os.sysconf('SC_PAGE_SIZE'))
-
-
-@contextmanager
-def _named(prefix: str) -> Iterator[None]:
-    """Put a section's name before what the core says of a value in it."""
-    try:
-        yield
-    except ConfigError:
-        raise
-    except (ValueError, TypeError) as error:
-        raise ConfigError(f'{prefix}.{error}' if ':' in str(error) else
-                          f'{prefix}: {error}') from None

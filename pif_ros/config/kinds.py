@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, Field, field
 import math
 from typing import Any
@@ -138,3 +139,15 @@ def taken(name: str, value: Value, spec: Field[Any]) -> Any:
                 if kind is NAMES and isinstance(shown, list)
                 and any(isinstance(item, bool) for item in shown) else '')
         raise ConfigError(f'{name}: expected {kind.wanted}{hint}, got {shown!r}') from None
+
+
+@contextmanager
+def named(prefix: str) -> Iterator[None]:
+    """Put a section's name before what the core says of a value in it."""
+    try:
+        yield
+    except ConfigError:
+        raise
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f'{prefix}.{error}' if ':' in str(error) else
+                          f'{prefix}: {error}') from None

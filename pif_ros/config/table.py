@@ -18,6 +18,7 @@ from typing import Any
 from pif_ros.config.kinds import (BOOL, BOOLS, ConfigError, COUNT, DURATION, FREQUENCY, INTEGER,
                                   INTEGERS, NAME, NAMES, NOT_NEGATIVE, NUMBER, NUMBERS, one_of,
                                   parameter, POSITIVE, taken, TEXT, Value)
+from pif_ros.core.continuous import SCHEMES
 import yaml
 
 
@@ -59,9 +60,23 @@ class PriorConfig:
 class FilterConfig:
     """Which filter."""
 
-    type: str = parameter('df', one_of('df'), 'the Dirac-Feynman filter')  # noqa: A003
-    average_cells: bool = parameter(True, BOOL, 'average a likelihood that is narrower than a '
-                                    'cell over the cell, instead of taking it at the centre')
+    type: str = parameter(  # noqa: A003
+        'df', one_of('df', 'dfy', 'particle', 'ekf', 'ekf_continuous', 'ukf'), 'Dirac-Feynman '
+        'filter, the same for a measured path y(t) (Dirac-Feynman-Yau), or what they are compared '
+        'with: bootstrap particle filter, extended Kalman filter, the same for a measured path, '
+        'unscented Kalman filter')
+    average_cells: bool = parameter(True, BOOL, 'df, dfy: average a likelihood that is narrower '
+                                    'than a cell over the cell, instead of taking it at the '
+                                    'centre')
+    significance: float = parameter(0.0, NOT_NEGATIVE, 'df: correct only cells with more than '
+                                    "this share of the densest one's density, and empty the "
+                                    'others; 0: all')
+    scheme: str = parameter('symmetric', one_of(*SCHEMES), "dfy: how the path's increments and "
+                            'the steps are put together')
+    particles: int = parameter(5000, COUNT, 'particle: how many')
+    seed: int = parameter(0, INTEGER, 'particle: what its random numbers start from')
+    resample_below: float = parameter(0.5, NOT_NEGATIVE, 'particle: effective size, as a share of '
+                                      'the particles, below which they are resampled')
 
 
 @dataclass(frozen=True)
@@ -71,6 +86,9 @@ class KernelConfig:
     time_step: float = parameter(0.01, POSITIVE, 'length of a step', 's')
     r: float = parameter(0.5, NUMBER, 'where between the two ends of a step the drift is taken, '
                          '0 to 1')
+    s: float = parameter(-1.0, NUMBER, 'the same of a vielbein that depends on the state, which '
+                         "decides what the model means: 0 is Ito's sense, 0.5 Stratonovich's; -1: "
+                         'as the model has it')
     jacobian: str = parameter('determinant', one_of('determinant', 'exponential'),
                               "exact Jacobian, or the papers' expansion of it")
     extent: int = parameter(0, INTEGER, "largest move on each axis, the papers' setting; 0: as "
@@ -80,6 +98,20 @@ class KernelConfig:
     tolerance: float = parameter(1e-5, POSITIVE, "share of a step's tail that is left out")
     noise_inflation: float = parameter(0.0, NOT_NEGATIVE, "alpha of the papers' way with thin "
                                        "noise, g = alpha dx instead of the model's; 0: none")
+
+
+@dataclass(frozen=True)
+class OperatorConfig:
+    """What saves work with a kernel."""
+
+    steps: int = parameter(1, COUNT, 'df: kernel steps that are composed into one operator')
+    file: str = parameter('', TEXT, 'df: where the kernel is kept: loaded if it is there, made '
+                          'and saved if not; it serves any sensor; empty: nowhere')
+    wavelet: str = parameter('', TEXT, 'df: wavelet of PyWavelets in whose basis the operator is '
+                             'applied, such as `sym8`; empty: none')
+    level: int = parameter(2, COUNT, 'df: how often that basis is halved')
+    threshold: float = parameter(1e-4, NOT_NEGATIVE, 'df: elements below it are left out in that '
+                                 'basis')
 
 
 @dataclass(frozen=True)
@@ -158,6 +190,7 @@ class Config:
     prior: PriorConfig = field(default_factory=PriorConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)  # noqa: A003
     kernel: KernelConfig = field(default_factory=KernelConfig)
+    operator: OperatorConfig = field(default_factory=OperatorConfig)
     measurements: MeasurementsConfig = field(default_factory=MeasurementsConfig)
     frame_id: str = parameter('map', NAME, 'frame of the poses and the density')
     pose: PoseConfig = field(default_factory=PoseConfig)
@@ -217,8 +250,8 @@ def specifications(source_names: Sequence[str] = ('main',)) -> dict[str, datacla
 
 _SECTIONS: Mapping[str, type] = {
     'model': ModelConfig, 'grid': GridConfig, 'prior': PriorConfig, 'filter': FilterConfig,
-    'kernel': KernelConfig, 'measurements': MeasurementsConfig, 'pose': PoseConfig,
-    'publish': PublishConfig, 'density': DensityConfig, 'time': TimeConfig}
+    'kernel': KernelConfig, 'operator': OperatorConfig, 'measurements': MeasurementsConfig,
+    'pose': PoseConfig, 'publish': PublishConfig, 'density': DensityConfig, 'time': TimeConfig}
 
 
 def _section(section: type, prefix: str, left: dict[str, Value]) -> Any:

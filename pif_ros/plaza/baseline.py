@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pif_ros.core.baselines import ExtendedKalmanFilter, GaussianBelief
 from pif_ros.core.models import Sensor, StateModel
+from pif_ros.core.rivals import ExtendedKalmanFilter, GaussianBelief
 from pif_ros.core.tracker import Measurement, Tracker
 from pif_ros.plaza.recording import Recording
 from pif_ros.plaza.report import Track

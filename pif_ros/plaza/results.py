@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import asdict
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pif_ros.config import build_filter, Config, find_system
-from pif_ros.core.filters import DiracFeynmanFilter
+from pif_ros.config import build_filter, Config, find_grid, find_system
+from pif_ros.core.filters import Filter
 from pif_ros.core.models import Sensor
 from pif_ros.plaza.baseline import extended_kalman_track
 from pif_ros.plaza.evaluation import corrected, forecasts, moments, Run, scores
@@ -50,8 +51,9 @@ def _baselines(recording: Recording, span: Span, params_file: Path) -> dict[str,
     filter_ = build_filter(config, find_system(config))
     first, _ = span.limits_ns(recording)
     first = recording.arrivals_ns[recording.arrivals_ns >= first][0]
-    width = np.subtract(filter_.grid.upper, filter_.grid.lower)
-    middle = np.add(filter_.grid.upper, filter_.grid.lower) / 2.0
+    yard = find_grid(config, filter_.model)
+    width = np.subtract(yard.upper, yard.lower)
+    middle = np.add(yard.upper, yard.lower) / 2.0
     priors = {EKF: (recording.truth_at(first)[:2], np.eye(2)),
               EKF_LOST: (middle, np.diag(width**2 / 12.0))}
     sensors = _sensors(recording, config, filter_)
@@ -61,7 +63,7 @@ def _baselines(recording: Recording, span: Span, params_file: Path) -> dict[str,
 
 
 def _sensors(recording: Recording, config: Config,
-             filter_: DiracFeynmanFilter) -> Mapping[int, Sensor]:
+             filter_: Filter[Any]) -> Mapping[int, Sensor]:
     """Return the sensor of each beacon, known by its topic."""
     by_topic = {source.topic.strip('/'): filter_.sensors[name]
                 for name, source in config.measurements.sources.items()}

@@ -1,0 +1,156 @@
+"""Which filter a configuration asks for, and whether it fits into the memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import dataclasses
+import os
+from pathlib import Path
+import re
+from typing import Any
+
+import numpy as np
+from pif_ros.config.kinds import ConfigError, named
+from pif_ros.config.table import Config, OperatorConfig
+from pif_ros.core.continuous import (DiracFeynmanYauFilter, ExtendedKalmanBucyFilter,
+                                     PathBelief)
+from pif_ros.core.filters import DiracFeynmanFilter, Filter
+from pif_ros.core.grid import Grid
+from pif_ros.core.kernels import KernelSettings, OperatorSettings, stored_elements
+from pif_ros.core.models import Sensor, StateModel
+from pif_ros.core.rivals import (ExtendedKalmanFilter, ParticleBelief, ParticleFilter,
+                                 UnscentedKalmanFilter)
+
+#: What measures a path, of which there can be one only.
+OF_A_PATH = ('dfy', 'ekf_continuous')
+#: Bytes per stored weight while a kernel is made: twice its value and its index.
+BYTES_PER_WEIGHT = 24
+#: Arrays as large as the grid that a filter works with.
+ARRAYS_PER_GRID = 40
+#: Arrays as large as the states of all particles that a filter works with.
+ARRAYS_PER_CLOUD = 10
+
+
+def make_filter(config: Config, model: StateModel, grid: Grid,
+                sensors: Mapping[str, Sensor]) -> Filter[Any]:
+    """Return the filter that a configuration asks for; ConfigError where it cannot be."""
+    kind, settings = config.filter.type, _settings(config)
+    if kind in OF_A_PATH and len(sensors) != 1:
+        raise ConfigError(f'measurements.names: expected one source, whose path is measured, with '
+                          f'filter.type {kind!r}, got {list(sensors)}')
+    if kind != 'df':
+        _refuse_what_is_not_used(config, kind)
+    if kind in ('df', 'dfy'):
+        _check_grid_memory(model, grid, settings)
+    with named('filter'):
+        if kind == 'df':
+            return DiracFeynmanFilter(model, grid, sensors, settings, config.filter.average_cells,
+                                      config.filter.significance, _operator(config, model))
+        if kind == 'dfy':
+            return DiracFeynmanYauFilter(model, grid, sensors, settings, config.filter.scheme,
+                                         config.filter.average_cells)
+        if kind == 'particle':
+            _check_cloud(config, model)
+            return ParticleFilter(model, sensors, settings.time_step, grid,
+                                  config.filter.particles, config.filter.seed,
+                                  config.filter.resample_below)
+        if kind == 'ekf':
+            return ExtendedKalmanFilter(model, sensors, settings.time_step, grid)
+        if kind == 'ekf_continuous':
+            return ExtendedKalmanBucyFilter(model, sensors, settings.time_step, grid)
+        return UnscentedKalmanFilter(model, sensors, settings.time_step, grid)
+
+
+def describe(config: Config, filter_: Filter[Any]) -> str:
+    """Return what a filter is, once it is ready; ConfigError names the parameter that hinders."""
+    try:
+        return filter_.describe()
+    except (ValueError, OSError, ImportError) as error:
+        text = ' '.join(str(error).split())
+        known = {f'{field.name}: ': section
+                 for section, settings in (('kernel', KernelSettings),
+                                           ('operator', OperatorSettings))
+                 for field in dataclasses.fields(settings)}
+        section = next((known[start] for start in known if text.startswith(start)), None)
+        file = os.path.expanduser(config.operator.file)
+        if isinstance(error, OSError):
+            raise ConfigError('operator.file: expected a file that can be read or made, '
+                              f'got {file!r} ({error.strerror})') from None
+        if text.startswith(f'{file}: '):
+            raise ConfigError(f'operator.file: {text[len(file) + 2:]} in {file!r}') from None
+        raise ConfigError(f'{section}.{text}' if section else f'model.name: {text}') from None
+
+
+def held_bytes(belief: Any) -> int:
+    """Return about how many bytes a belief holds."""
+    if isinstance(belief, PathBelief):
+        return 2 * held_bytes(belief.now)
+    if isinstance(belief, ParticleBelief):
+        return int(belief.points.nbytes + belief.log_weights.nbytes)
+    density = getattr(belief, 'density', None)
+    return 1000 if density is None else int(density.nbytes)
+
+
+def _settings(config: Config) -> KernelSettings:
+    kernel = config.kernel
+    with named('kernel'):
+        return KernelSettings(kernel.time_step, kernel.r, kernel.jacobian, kernel.extent,
+                              kernel.weights, kernel.tolerance, kernel.noise_inflation)
+
+
+def _operator(config: Config, model: StateModel) -> OperatorSettings:
+    how = config.operator
+    if model.changes_with_time and how != OperatorConfig():
+        raise ConfigError('operator: expected its defaults where the model changes with time, '
+                          f'got {how}')
+    with named('operator'):
+        return OperatorSettings(how.steps, os.path.expanduser(how.file), how.wavelet, how.level,
+                                how.threshold)
+
+
+def _refuse_what_is_not_used(config: Config, kind: str) -> None:
+    """Refuse strategies of the plain filter that another would leave out without a word."""
+    for field in dataclasses.fields(OperatorConfig):
+        given = getattr(config.operator, field.name)
+        if given != field.default:
+            raise ConfigError(f'operator.{field.name}: expected {field.default!r} with '
+                              f'filter.type {kind!r}, got {given!r}')
+    if config.filter.significance:
+        raise ConfigError(f'filter.significance: expected 0 with filter.type {kind!r}, '
+                          f'got {config.filter.significance}')
+
+
+def _check_grid_memory(model: StateModel, grid: Grid, settings: KernelSettings) -> None:
+    """Refuse a grid or a kernel that would not fit, before anything of its size is made."""
+    cells, where = float(np.prod(np.array(grid.shape, dtype=float))), list(grid.shape)
+    fits = cells < np.iinfo(np.int32).max
+    needed = 8 * ARRAYS_PER_GRID * cells
+    if fits:
+        needed += BYTES_PER_WEIGHT * stored_elements(model, grid, settings)
+    _check('grid.shape: expected a grid whose kernel fits', where, needed, fits)
+
+
+def _check_cloud(config: Config, model: StateModel) -> None:
+    """Refuse more particles than fit, and a share that is none."""
+    if config.filter.resample_below > 1:
+        raise ConfigError('filter.resample_below: expected a share from 0 to 1, '
+                          f'got {config.filter.resample_below}')
+    needed = 8.0 * ARRAYS_PER_CLOUD * (model.ndim + 1) * config.filter.particles
+    _check('filter.particles: expected so many that they fit', config.filter.particles, needed)
+
+
+def _check(wanted: str, given: Any, needed: float, fits: bool = True) -> None:
+    free = _available_memory()
+    if needed > 0.8 * free or not fits:
+        raise ConfigError(f'{wanted} into the {free / 1e9:.1f} GB of memory that are free, '
+                          f'got {given} ({needed / 1e9:.3g} GB)')
+
+
+def _available_memory() -> int:
+    """Return the bytes that a process may still have; what the kernel caches counts as free."""
+    try:
+        found = re.search(r'MemAvailable:\s*(\d+) kB', Path('/proc/meminfo').read_text())
+    except OSError:
+        found = None
+    return (int(found[1]) * 1024 if found
+            else os.sysconf('SC_AVPHYS_PAGES') * os.sysconf('SC_PAGE_SIZE'))

@@ -1,0 +1,1 @@
+"""The examples of the papers, one module each: its settings, its data, what is printed."""

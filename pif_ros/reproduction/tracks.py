@@ -1,0 +1,94 @@
+"""A filter follows a record, through the tracker; what it believed on its way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pif_ros.core.filters import Filter
+from pif_ros.core.tracker import CorrectionFailed, Measurement, Tracker
+from pif_ros.reproduction.records import Record
+
+Array = NDArray[np.float64]
+#: What a filter may raise for its numbers; anything else is a mistake, and ends the run.
+NUMERICAL = (ArithmeticError, np.linalg.LinAlgError)
+#: Returns means and variances (n,) of a belief.
+Moments = Callable[[Any], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What is read off a belief, a number or an array, after every so many measurements."""
+
+    read: Callable[[Any], Any]
+    every: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """
+    What a filter believed after each of K measurements.
+
+    means, variances: (K, n); masses (K,): what the prediction kept on the grid; seconds (K,): time
+    per measurement; log_evidence: its total; read: further readings by name, stacked; fault: why
+    it ended before its time, '' where it did not.
+    """
+
+    means: Array
+    variances: Array
+    masses: Array
+    seconds: Array
+    log_evidence: float
+    read: Mapping[str, Array] = field(default_factory=dict)
+    fault: str = ''
+
+
+def follow(filter_: Filter[Any], prior: Any, record: Record, moments: Moments,
+           readings: Mapping[str, Reading]) -> Track:
+    """
+    Return the track of a filter from a prior that holds at stamp 0.
+
+    Where the filter raises, or believes what is not finite, the track ends with NaN and its fault
+    says why.
+    """
+    K, n = record.truth.shape
+    means, variances = np.full((K, n), np.nan), np.full((K, n), np.nan)
+    masses, seconds = np.full(K, np.nan), np.full(K, np.nan)
+    read: dict[str, list[Any]] = {name: [] for name in readings}
+    tracker, fault, total = Tracker(filter_, prior, history=0.0, depth=1), '', 0.0
+    tracker.reset(prior, 0)
+    if record.origin is not None:
+        tracker.observe(Measurement(0, record.sensor, tuple(record.origin.tolist())))
+        tracker.estimate()
+    for k, (stamp, y) in enumerate(zip(record.stamps_ns.tolist(), record.measured)):
+        begin = perf_counter()
+        try:
+            predicted = tracker.forecast(stamp).belief
+            tracker.observe(Measurement(stamp, record.sensor, tuple(y.tolist())))
+            estimate = tracker.estimate()
+        except (CorrectionFailed, *NUMERICAL) as error:
+            if not isinstance(error.__cause__ or error, NUMERICAL):
+                raise
+            fault = str(error.__cause__ or error)
+            break
+        seconds[k] = perf_counter() - begin
+        means[k], variances[k] = moments(estimate.belief)
+        if not np.all(np.isfinite(means[k])):
+            fault = 'its mean is not finite'
+            break
+        masses[k], total = predicted.mass, estimate.total_log_evidence
+        for name, reading in readings.items():
+            if k % reading.every == 0:
+                read[name].append(reading.read(estimate.belief))
+    return Track(means, variances, masses, seconds, total,
+                 {name: np.array(values) for name, values in read.items()}, fault)
+
+
+def moments(belief: Any) -> tuple[Array, Array]:
+    """Return the mean of each state and its variance, (n,) each."""
+    mean = belief.mean()
+    return mean, np.diag(belief.covariance(mean))
