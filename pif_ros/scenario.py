@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
-from pif_ros.config import build_filter, Config, ConfigError, find_system, OF_A_PATH
+from pif_ros.config import build_tracker, Config, ConfigError, OF_A_PATH
 from pif_ros.config.kinds import (BOOL, COUNT, FREQUENCY, Kind, NAME, NOT_NEGATIVE, NUMBERS,
                                   parameter, POSITIVE, taken, Value)
 from pif_ros.core.filters import NANOSECONDS
@@ -86,7 +86,7 @@ def scenario(config: Config, settings: Settings) -> Scenario:
     Every source has numbers of its own, so that the truth is the same whatever is measured of it.
     Time begins at BEGIN_NS for what depends on it.  Raises ConfigError.
     """
-    filter_ = build_filter(config, find_system(config))
+    filter_ = build_tracker(config).filter
     interval_ns = _interval_ns(config, settings)
     count = math.floor(settings.duration * NANOSECONDS / interval_ns) + 1
     elapsed_ns = interval_ns * np.arange(count)
@@ -102,6 +102,13 @@ def scenario(config: Config, settings: Settings) -> Scenario:
             measurements[name] = np.array([measure(sensor, x, t, rng) for x, t in zip(
                 truth[::substeps], fine[::substeps])])
     return Scenario(elapsed_ns, truth[::substeps], measurements)
+
+
+def drawn(config: Config, rng: Generator) -> Array:
+    """Return a state (n,) out of the prior, which may lie off the grid where it is Gaussian."""
+    if config.prior.type == 'uniform':
+        return rng.uniform(config.grid.lower, config.grid.upper)
+    return rng.normal(config.prior.mean, np.sqrt(config.prior.covariance_diagonal))
 
 
 def _interval_ns(config: Config, settings: Settings) -> int:
@@ -125,19 +132,12 @@ def _truth(config: Config, settings: Settings, model: StateModel, times: Array,
     upper = np.where(wide, np.inf, config.grid.upper)
     try:
         with np.errstate(over='ignore', invalid='ignore'):
-            return simulate_inside(model, lambda generator: start or _drawn(config, generator),
+            return simulate_inside(model, lambda generator: start or drawn(config, generator),
                                    times, rng, lower, upper, attempts=ATTEMPTS)
     except RuntimeError:
         raise ConfigError('duration: expected a truth that stays on the grid for so long, got '
                           f'none of {ATTEMPTS} that does for {settings.duration:g} s (inside: '
                           'false lets it leave)') from None
-
-
-def _drawn(config: Config, rng: Generator) -> Array:
-    """Return a state (n,) out of the prior."""
-    if config.prior.type == 'uniform':
-        return rng.uniform(config.grid.lower, config.grid.upper)
-    return rng.normal(config.prior.mean, np.sqrt(config.prior.covariance_diagonal))
 
 
 def _periodic(config: Config, model: StateModel) -> Sequence[bool]:

@@ -1039,10 +1039,10 @@ def test_a_sensor_that_raises_costs_its_measurement_and_no_other(graph):
 
     class Moody(type(sensor)):
 
-        def log(self, y, density, t):
+        def log(self, y, *rest):
             if y[0] == 7.5:
                 raise ArithmeticError('such a number')
-            return healthy(self, y, density, t)
+            return healthy(self, y, *rest)
 
     rig.node.tracker.filter._likelihoods['main'] = Moody(
         sensor.grid, sensor.sensor, sensor.average_cells)

@@ -17,6 +17,7 @@ PACKAGE_XML = ElementTree.parse(ROOT / 'package.xml').getroot()
 # Modules whose rosdep key is not their own name.
 ROSDEP_KEYS = {
     'hypothesis': 'python3-hypothesis',
+    'joblib': 'python3-joblib',
     'matplotlib': 'python3-matplotlib',
     'numpy': 'python3-numpy',
     'pytest': 'python3-pytest',
@@ -24,6 +25,9 @@ ROSDEP_KEYS = {
     'tqdm': 'python3-tqdm',
     'yaml': 'python3-yaml',
 }
+
+# Imported only where they are asked for, and of no rosdep key: pip brings them.
+OPTIONAL = {'dask', 'distributed', 'filterpy', 'pywt'}
 
 
 @pytest.fixture(scope='module')
@@ -55,7 +59,8 @@ def imports(*folders: str) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and not node.level:
             names.add(node.module.split('.')[0])
     own = {'pif_ros', 'test'} | {file.stem for file in (ROOT / 'test').rglob('*.py')}
-    return {ROSDEP_KEYS.get(name, name) for name in names - own - sys.stdlib_module_names}
+    return {ROSDEP_KEYS.get(name, name)
+            for name in names - own - sys.stdlib_module_names - OPTIONAL}
 
 
 def depends(kind: str) -> set[str]:

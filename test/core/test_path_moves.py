@@ -10,9 +10,10 @@ import pytest
 MS = 1_000_000
 F = np.array([[-0.6, 1.8], [-1.5, -0.2]])
 E = np.array([[0.9, 0.2], [0.1, 1.4]])
-H, R = np.array([[1.0, -0.5]]), np.array([[0.1]])
+H, R = np.array([[1.0, -0.5]]), np.array([[0.3]])
 MEAN, COVARIANCE = np.array([0.5, -0.3]), np.array([[0.5, 0.1], [0.1, 0.3]])
-MEASURED = [(200 * MS, 's', [0.9]), (250 * MS, 's', [0.2]), (550 * MS, 's', [-0.7])]
+MEASURED = [(t * MS, 's', [y]) for t, y in (
+    (100, 1.4), (150, -0.2), (250, 0.9), (350, 1.1), (400, -0.4), (500, -1.2))]
 
 
 def posterior_of(r, changing=False):
@@ -68,13 +69,16 @@ WAYS = pytest.mark.parametrize('r, changing', [(0.0, False), (0.5, False), (1.0,
 
 
 @WAYS
-@pytest.mark.parametrize('count', [3, 8])
-def test_particle_moves_of_few_particles_leave_the_posterior_as_it_is(r, changing, count):
-    # started from exact draws, so that what one move spoils is seen at once
+@pytest.mark.parametrize('count, draw_below', [(3, 0.5), (6, 0.5), (4, 2.0)])
+def test_particle_moves_of_few_particles_leave_the_posterior_as_it_is(
+        r, changing, count, draw_below, monkeypatch):
+    # started from exact draws, so that what one move spoils is seen at once; with draws at every
+    # step, and with as many as there usually are
+    monkeypatch.setattr(particles, 'RESAMPLE', draw_below)
     posterior, rng = posterior_of(r, changing), np.random.default_rng(count)
     mean, covariance = exact(posterior, changing)
-    before = drawn(mean, covariance, 12_000, rng)
-    after = particles.renewed(posterior, before, 12_000, count, rng)
+    before = drawn(mean, covariance, 40_000, rng)
+    after = particles.renewed(posterior, before, before.shape[2], count, rng)
     assert_distributed(before, mean, covariance)
     assert_distributed(after, mean, covariance)
     assert np.mean(np.any(after != before, axis=0), axis=1).min() > 0.1

@@ -167,16 +167,18 @@ def test_a_measurement_far_more_precise_than_the_belief_leaves_its_own_variance(
 
 @BOTH
 @given(h=st.floats(0.01, 50), seed=st.integers(0, 2**32 - 1))
-def test_no_step_is_so_long_that_the_covariance_is_none(kind, h, seed):
+def test_no_step_is_so_long_and_no_sensor_such_that_the_covariance_is_none(kind, h, seed):
     rng = np.random.default_rng(seed)
-    A = rng.normal(size=(3, 3))
+    A, B, root = rng.normal(size=(3, 3)), rng.normal(size=(2, 3)), rng.normal(size=(3, 3))
     model = StateModel(tuple('abc'), lambda x, t: np.tensordot(A, x, 1), rng.normal(size=(3, 1)))
-    root = rng.normal(size=(3, 3))
-    belief = kind(model, {}, h).predict(
-        GaussianBelief(rng.normal(size=3), root @ root.T), 0, round(h * SECOND))
-    P = belief.covariance()
-    # rounding: 1e-16 of the largest eigenvalue in each of some ten products
-    assert np.linalg.eigvalsh(P)[0] >= -1e-14 * np.linalg.eigvalsh(P)[-1]
+    sensors = {'s': Sensor(lambda x, t: np.tensordot(B, x, 1)**3, 0.1 * np.eye(2))}
+    filter_ = kind(model, sensors, h)
+    moved = filter_.predict(GaussianBelief(rng.normal(size=3), root @ root.T), 0,
+                            round(h * SECOND))
+    for P in (moved.covariance(), filter_.correct(moved, [1.0, -1.0], 's', 0)[0].covariance()):
+        np.testing.assert_array_equal(P, P.T)
+        # rounding: 1e-16 of the largest eigenvalue in each of some ten products
+        assert np.linalg.eigvalsh(P)[0] >= -1e-14 * np.linalg.eigvalsh(P)[-1]
 
 
 @BOTH

@@ -279,11 +279,11 @@ def test_systematic_resampling_has_no_bias_and_no_count_is_off_by_one(seed, coun
 
 
 @pytest.mark.parametrize('u', [0.0, 1e-300, 0.5, np.nextafter(1, 0)])
-@pytest.mark.parametrize('count', [1, 7, 5000, 100_000])
-def test_no_tooth_of_the_comb_is_lost_to_rounding(u, count):
-    weights = np.append(np.random.default_rng(count).random(count), np.zeros(3))
-    picks = systematic(weights, u)
-    assert len(picks) == len(weights) and picks.max() < count and np.all(np.diff(picks) >= 0)
+def test_no_tooth_of_the_comb_is_lost_to_rounding(u):
+    for count in [*range(1, 300), 5000, 100_000]:
+        weights = np.append(np.random.default_rng(count).random(count), np.zeros(3))
+        picks = systematic(weights, u)
+        assert len(picks) == len(weights) and picks.max() < count and np.all(np.diff(picks) >= 0)
 
 
 def test_the_cloud_is_resampled_before_a_step_when_it_is_thin():
