@@ -60,6 +60,7 @@ setup(
         # Systems of your own go into the group pif_ros.systems of your own package.
         'console_scripts': [
             'filter_node = pif_ros.node:main',
+            'simulate = pif_ros.simulate:main',
             'plaza_player = pif_ros.plaza.player:main',
             'plaza_demo = pif_ros.plaza.demo:main',
         ],

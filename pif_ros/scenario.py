@@ -130,6 +130,9 @@ def _truth(config: Config, settings: Settings, model: StateModel, times: Array,
     wide = np.array([periodic or not settings.inside for periodic in _periodic(config, model)])
     lower = np.where(wide, -np.inf, config.grid.lower)
     upper = np.where(wide, np.inf, config.grid.upper)
+    if start and not np.all((lower <= start) & (start <= upper)):
+        raise ConfigError('start: expected a state on the grid, or inside: false, '
+                          f'got {list(start)}')
     try:
         with np.errstate(over='ignore', invalid='ignore'):
             return simulate_inside(model, lambda generator: start or drawn(config, generator),

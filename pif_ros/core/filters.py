@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+import math
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -25,6 +26,8 @@ NANOSECONDS = 1_000_000_000
 NEGLIGIBLE = 1e-290
 #: An evidence below this share of the largest likelihood may have lost digits to underflow.
 UNSAFE = 1e-200
+#: Kernels that are kept at most, of a model that changes with time.
+MOST_KERNELS = 1000
 
 
 class Filter(Protocol[Belief]):
@@ -176,7 +179,10 @@ class DiracFeynmanFilter:
 
     def kernel_at(self, t_ns: int) -> sparse.csr_array:
         """Return the kernel of the step that starts at a stamp."""
-        return self._kernels(t_ns if self.model.changes_with_time else 0)
+        if not self.model.changes_with_time:
+            return self._kernels(0)
+        period_ns = round(self.model.period * NANOSECONDS)
+        return self._kernels(t_ns % period_ns if period_ns else t_ns)
 
     def operator_at(self, t_ns: int) -> Operator:
         """Return the operator of the time_step_ns that start at a stamp."""
@@ -208,8 +214,10 @@ class DiracFeynmanFilter:
 
     @cached_property
     def _kernels(self) -> Callable[[int], sparse.csr_array]:
-        # a model that changes with time comes back to the same stamps when it replays
-        return lru_cache(maxsize=16)(lambda t_ns: kernel_of(
+        # a model that changes with time comes back to the same stamps when it replays, and to
+        # the same phases of its period
+        phases = math.ceil(self.model.period * NANOSECONDS / self._kernel_ns)
+        return lru_cache(maxsize=min(max(16, phases), MOST_KERNELS))(lambda t_ns: kernel_of(
             self.model, self.grid, self.kernel, self.operator, t_ns / NANOSECONDS))
 
     @cached_property

@@ -26,7 +26,8 @@ class StateModel:
     function of t, the unit matrix where none is given; drift_jacobian: df_i/dx_j, (n, n, ...), and
     vielbein_jacobian: de_ia/dx_j, (n, p, n, ...), both taken by central differences where none is
     given; time_dependent: whether f, or a multiplicative e, depends on t (other functions do);
-    s: the sense of multiplicative noise, for which e is taken at x' + s (x'' - x') of a step from
+    period: seconds after which all that depends on time comes again, 0 for never, so that kernels
+    of the same phase are made once; s: the sense of multiplicative noise, for which e is taken at x' + s (x'' - x') of a step from
     x' to x'': 0 is Ito's, 1/2 Stratonovich's; units: one per state, for the reader.
     """
 
@@ -40,10 +41,13 @@ class StateModel:
     multiplicative: bool = False
     vielbein_jacobian: Field | None = None
     s: float = 0.0
+    period: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a constant e or Q that does not fit the states, or is none."""
         columns = None
+        if not 0 <= self.period < np.inf:
+            raise ValueError(f'period: expected seconds, 0 or more, got {self.period!r}')
         if not 0 <= self.s <= 1:
             raise ValueError(f's: expected a number from 0 to 1, got {self.s!r}')
         if self.multiplicative and not callable(self.vielbein):

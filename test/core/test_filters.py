@@ -1,5 +1,6 @@
 """Predict and correct."""
 
+from dataclasses import replace
 import itertools
 
 from hypothesis import given, strategies as st
@@ -171,6 +172,29 @@ def test_a_model_and_a_sensor_that_change_with_time_are_asked_at_their_stamps():
     weight = start.density * likelihood
     np.testing.assert_allclose(corrected.density, weight / weight.sum() / 0.2, rtol=1e-10)
     assert log_evidence == pytest.approx(np.log(weight.sum() * 0.2), rel=1e-12)
+
+
+def test_the_kernels_of_a_period_are_made_once():
+    asked = []
+
+    def drift(x, t):
+        asked.append(t)
+        return np.cos(2 * np.pi * t) - x
+
+    model = StateModel(('x',), drift, np.eye(1), time_dependent=True, period=1.0)
+    filter_ = DiracFeynmanFilter(model, Grid((-4,), (4,), (40,)), {}, KernelSettings(0.125))
+    start = GridBelief.gaussian(filter_.grid, [0.3], [[0.5]])
+    first = filter_.predict(start, 7 * SECOND, 8 * SECOND)
+    count = len(asked)
+    again = filter_.predict(start, 1009 * SECOND, 1010 * SECOND)
+    assert again.density.tobytes() == first.density.tobytes()
+    assert len(asked) == count > 0
+    # without a period it would be made anew, and be the same but for the rounding of t
+    never = DiracFeynmanFilter(replace(model, period=0.0), filter_.grid, {}, filter_.kernel)
+    np.testing.assert_allclose(never.predict(start, 7 * SECOND, 8 * SECOND).density,
+                               first.density, atol=1e-12)
+    with pytest.raises(ValueError, match='^period: expected seconds, 0 or more, got -1$'):
+        replace(model, period=-1)
 
 
 # Predict

@@ -232,20 +232,20 @@ def damping(t):
 
 
 def vielbein(t):
-    return np.array([[0.4 + 0.3 * np.sin(2 * t)]])
+    return np.array([[0.4 + 0.3 * np.sin(2 * t), 0.2 * np.cos(t)]])
 
 
 def noise(t):
-    return np.array([[1 + 0.5 * np.cos(t)]])
+    return np.array([[1 + 0.5 * np.cos(t), 0.3], [0.3, 0.6 + 0.2 * np.sin(t)]])
 
 
 @pytest.mark.parametrize('r, order', [(0, 1), (0.5, 2), (1, 1)])
-def test_drift_vielbein_and_noise_that_change_with_time_converge_to_the_exact_gaussian(r, order):
+def test_drift_rectangular_vielbein_and_noise_of_time_converge_to_the_exact_gaussian(r, order):
     model = StateModel(('x',), lambda x, t: np.cos(3 * t) - damping(t) * x, vielbein, noise,
                        time_dependent=True)
 
     def moments(t, z):
-        g = vielbein(t)[0, 0]**2 * noise(t)[0, 0]
+        g = (vielbein(t) @ noise(t) @ vielbein(t).T)[0, 0]
         return [np.cos(3 * t) - damping(t) * z[0], -2 * damping(t) * z[1] + g]
 
     mean, variance = solve_ivp(moments, (0.3, 1.3), [0.5, 0.04], rtol=1e-11, atol=1e-13).y[:, -1]

@@ -207,6 +207,11 @@ def test_a_forgery_with_the_right_checksums_cannot_lead_a_product_astray(
     assert refusal(file, size=2).endswith(f'a kernel of 2 cells, got {got}')
 
 
+def test_more_weights_than_pairs_of_cells_are_refused(file):
+    forged(file, payload_of([0, 2], [0, 0], [0.1, 0.1]), cells=1, weights=2)
+    assert 'expected at most 1 weights' in refusal(file, size=1)
+
+
 def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path):
     assert refusal(tmp_path).endswith('got no regular file')
     pipe = tmp_path / 'pipe'

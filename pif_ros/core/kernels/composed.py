@@ -32,9 +32,9 @@ def composed(kernel: sparse.csr_array, steps: int, tolerance: float) -> sparse.c
     # a row of the transpose is a column of the operator
     one = power = kernel.T.tocsr()
     bits = [int(bit) for bit in f'{int(steps):b}'[1:]]
-    share, made = tolerance / (4 * (len(bits) + sum(bits))), 1
+    share, made = tolerance / (2 * (len(bits) + sum(bits))), 1
     for bit in bits:
-        # an error of an operator of m steps comes n / m times into that of n
+        # an error in m steps comes n / m times into n, and once more when mass is put right
         made *= 2
         power = _product(power, power, share * made / steps)
         if bit:
@@ -43,8 +43,9 @@ def composed(kernel: sparse.csr_array, steps: int, tolerance: float) -> sparse.c
     mass = np.ones(len(kernel.indptr) - 1)
     for _ in range(int(steps)):
         mass = one @ mass
-    if tolerance:
-        _rescale(power, mass)
+    held = _row_sums(power)
+    factor = np.divide(mass, held, out=np.ones_like(held), where=held > 0)
+    power.data *= np.repeat(factor, np.diff(power.indptr))
     return power.T.tocsr()
 
 
@@ -69,30 +70,20 @@ def _stacked(parts: list[sparse.csr_array]) -> sparse.csr_array:
 
 
 def _pruned(rows: sparse.csr_array, share: float) -> sparse.csr_array:
-    """Drop the least weights of each row, up to a share of its mass, and keep the mass."""
+    """Drop the least weights of each row, up to a share of its mass."""
     if not share or not rows.nnz:
         return rows
     counts = np.diff(rows.indptr)
-    mass = _row_sums(rows)
     # each row's weights in order, least first, after zeros
     ordered = np.zeros((len(counts), counts.max()))
     ordered[np.arange(counts.max()) >= counts.max() - counts[:, None]] = rows.data
     ordered.sort(axis=1)
-    dropped = (np.cumsum(ordered, axis=1) <= share * mass[:, None]).sum(axis=1)
+    dropped = (np.cumsum(ordered, axis=1) <= share * _row_sums(rows)[:, None]).sum(axis=1)
     least = np.take_along_axis(
         ordered, np.minimum(dropped, counts.max() - 1)[:, None], axis=1)[:, 0]
     keep = rows.data >= np.repeat(least, counts)
     ends = np.concatenate([[0], np.cumsum(keep)])[rows.indptr].astype(rows.indptr.dtype)
-    kept = sparse.csr_array((rows.data[keep], rows.indices[keep], ends), shape=rows.shape)
-    _rescale(kept, mass)
-    return kept
-
-
-def _rescale(rows: sparse.csr_array, mass: Array) -> None:
-    """Give each row that holds anything a mass (rows,)."""
-    held = _row_sums(rows)
-    factor = np.divide(mass, held, out=np.ones_like(held), where=held > 0)
-    rows.data *= np.repeat(factor, np.diff(rows.indptr))
+    return sparse.csr_array((rows.data[keep], rows.indices[keep], ends), shape=rows.shape)
 
 
 def _row_sums(rows: sparse.csr_array) -> Array:

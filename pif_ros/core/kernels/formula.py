@@ -70,7 +70,7 @@ def _bent(model: StateModel, x_from: Array, dx: Array, f: Array, log_jacobian: A
     eps, s, tau = settings.time_step, model.s, t + settings.r * settings.time_step
     x = x_from + s * dx
     # noise of covariance 1 through e Q^(1/2)
-    root: Array = np.linalg.cholesky(model.noise(tau))
+    root = np.asarray(np.linalg.cholesky(model.noise(tau)), dtype=float)
     e = _times(model.vielbein_at(x, tau), root)
     de = np.moveaxis(_times(np.moveaxis(model.vielbein_jacobian_at(x, tau), 2, 0), root, 2), 0, 2)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):

@@ -203,11 +203,9 @@ def _keeping_mass(blocks: Iterator[Array], threshold: float, ones: Array,
         whole = block[bearing]
         block[np.abs(block) < threshold] = 0.0
         bears = block[bearing] != 0
-        # a column that lost all that bears mass, and misses it, gets the heaviest of it back
+        # a column that lost all that bears mass, and misses it, gets it where it had most of it
         bare = np.flatnonzero(~bears.any(axis=0) & (np.abs(wanted - ones @ block) > ROUNDING))
-        heaviest = np.abs(whole[:, bare]).argmax(axis=0)
-        bears[heaviest, bare] = True
-        block[bearing[heaviest], bare] = whole[heaviest, bare]
+        bears[np.abs(whole[:, bare]).argmax(axis=0), bare] = True
         square = (bears * u**2).sum(axis=0)
         missing = wanted - ones @ block
         block[bearing] += bears * u * np.divide(missing, square, out=np.zeros_like(missing),
