@@ -54,7 +54,7 @@ setup(
             'mypy',
             'types-PyYAML',
         ],
-        'benchmark': ['stonesoup', 'particles', 'matplotlib'],
+        'benchmark': ['stonesoup', 'particles', 'filterpy', 'PyWavelets', 'matplotlib'],
     },
     entry_points={
         # Systems of your own go into the group pif_ros.systems of your own package.

@@ -3,6 +3,7 @@
 Do the jobs of this package on a machine with Python 3.10 or newer, with or without ROS 2 Jazzy.
 
     python3 tasks.py demo        find a robot from ranges alone, on a real recording
+    python3 tasks.py reproduce   run the papers' examples: --all --out DIR, or --list
     python3 tasks.py test        run the tests
     python3 tasks.py lint        run ament_flake8, ament_pep257 and mypy
     python3 tasks.py benchmark   measure the speed
@@ -29,6 +30,10 @@ BASE_PYTHON = os.path.realpath(sys.executable)  # outside any environment that i
 
 def demo(arguments):
     run(environment() / 'python', '-m', 'pif_ros.plaza.demo', '--out', 'demo', *arguments)
+
+
+def reproduce(arguments):
+    run(environment() / 'reproduce', *arguments)
 
 
 def test(arguments):
@@ -139,7 +144,7 @@ def say(text):
     print('==>', text, flush=True)
 
 
-TASKS = {task.__name__: task for task in (demo, test, lint, benchmark, clean)}
+TASKS = {task.__name__: task for task in (demo, reproduce, test, lint, benchmark, clean)}
 
 if __name__ == '__main__':
     if sys.version_info < (3, 10):

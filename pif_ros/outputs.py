@@ -39,7 +39,7 @@ class Outputs:
             out: node.create_publisher(out.type, out.name, out.qos) for out in wanted}
 
     def publish(self, belief: Any, stamp_ns: int) -> None:
-        """Publish a belief that holds at a stamp; the density only when it is due."""
+        """Publish a belief that holds at a stamp; a density when it is due and on the grid."""
         frame = self._config.frame_id
         point = belief.mode() if self._live['pose.estimator'] == 'mode' else belief.mean()
         pose = conversions.pose_message(point, belief.covariance(about=point), self.pose_axes,
@@ -52,12 +52,16 @@ class Outputs:
         self._density_ns = stamp_ns
         if self._is_heard(interface.DENSITY):
             names, units = self._model.names, self._model.units
-            self._publishers[interface.DENSITY].publish(conversions.density_message(
-                belief.on(self._grid, self._density_axes), [names[i] for i in self._density_axes],
-                [units[i] for i in self._density_axes] if units else ()))
+            density = belief.on(self._grid, self._density_axes)
+            if density.mass > 0:
+                self._publishers[interface.DENSITY].publish(conversions.density_message(
+                    density, [names[i] for i in self._density_axes],
+                    [units[i] for i in self._density_axes] if units else ()))
         if self._is_heard(interface.DENSITY_MAP):
-            self._publishers[interface.DENSITY_MAP].publish(conversions.map_message(
-                belief.on(self._grid, self._plane), stamp_ns, frame))
+            density = belief.on(self._grid, self._plane)
+            if density.mass > 0:
+                self._publishers[interface.DENSITY_MAP].publish(
+                    conversions.map_message(density, stamp_ns, frame))
 
     def restart(self) -> None:
         """Let the next density go out at once."""

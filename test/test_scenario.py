@@ -117,8 +117,9 @@ def test_the_truth_moves_in_the_sense_in_which_the_filter_takes_the_noise():
     (LINE, {'seed': -1}, 'seed'), (LINE, {'seed': 1.5}, 'seed'), (LINE, {'seed': True}, 'seed'),
     (LINE, {'duration': 0.0}, 'duration'), (LINE, {'duration': 0.05}, 'duration'),
     (LINE, {'rate': -1.0}, 'rate'), (LINE, {'start': [1.0, 2.0]}, 'start'),
-    (LINE, {'start': [9.0]}, 'start'), (LINE, {'duration': 1e4, 'rate': 0.1}, 'duration'), (LINE, {'substeps': 0}, 'substeps'),
+    (LINE, {'start': [9.0]}, 'start'), (LINE, {'substeps': 0}, 'substeps'),
     (LINE, {'inside': 'no'}, 'inside'), (LINE, {'durations': 1.0}, 'durations'),
+    ({**LINE, 'grid.lower': [0.4], 'grid.upper': [0.6]}, {}, 'duration'),
     ({**LINE, 'model.name': 'x'}, {}, 'model.name'),
     ({**LINE, 'prior.mean': [0.0, 1.0]}, {}, 'prior.mean'),
 ])

@@ -1,6 +1,6 @@
 """The simulator, heard over DDS."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 import signal
 import subprocess
 import sys
@@ -11,10 +11,11 @@ from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamp
 import numpy as np
 from pif_ros.config import ConfigError
 from pif_ros.scenario import BEGIN_NS
+from pif_ros.simulate import understood
 from pif_ros.simulation_node import Simulator
 import pytest
 from rclpy.node import Node
-from ros import DEEP, Graph, nanoseconds, stamp_into, write_parameters
+from ros import DEEP, Graph, nanoseconds, SECOND, stamp_into, write_parameters
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Range
 from std_msgs.msg import Float64MultiArray
@@ -43,7 +44,7 @@ class Listener(Node):
         self.measured: list[tuple[str, Any]] = []
         self.truths: list[PoseStamped] = []
         self.states: list[JointState] = []
-        self.clocks: list[tuple[int, int]] = []
+        self.clocks: list[int] = []
         self._respond = respond
         self._poses = self.create_publisher(PoseWithCovarianceStamped, '~/pose', 10)
         for topic, kind in topics.items():
@@ -52,7 +53,7 @@ class Listener(Node):
         self.create_subscription(PoseStamped, 'truth', self.truths.append, DEEP)
         self.create_subscription(JointState, 'truth_state', self.states.append, DEEP)
         self.create_subscription(Clock, '/clock', lambda msg: self.clocks.append(
-            (nanoseconds(msg.clock), len(self.measured))), DEEP)
+            nanoseconds(msg.clock)), DEEP)
 
     def _on_measurement(self, topic: str, msg: Any) -> None:
         self.measured.append((topic, msg))
@@ -70,11 +71,19 @@ def simulator(graph: Graph, parameters: Mapping[str, Any] = PLANE, **settings: A
                                cli_args=['--ros-args', '--params-file', str(path)]))
 
 
+def spinner(graph: Graph) -> Callable[[float], None]:
+    """Return what runs all callbacks of a graph that are due, after the time for the first."""
+    def spin(timeout: float) -> None:
+        for seconds in [timeout, *[0.0] * 20]:
+            graph.executor.spin_once(timeout_sec=seconds)
+    return spin
+
+
 def play(graph: Graph, listener: Listener, parameters: Mapping[str, Any] = PLANE,
          **settings: Any) -> Simulator:
     """Play to a listener until it has heard everything."""
     player = simulator(graph, parameters, **settings)
-    player.play(lambda timeout: graph.executor.spin_once(timeout_sec=timeout))
+    player.play(spinner(graph))
     count = len(player.scenario.truth)
     graph.until(lambda: len(listener.measured) >= count * len(player._outlets)
                 and len(listener.truths) == len(listener.states) == count, 'all is heard')
@@ -115,7 +124,8 @@ def test_the_same_seed_is_heard_alike_to_the_last_bit_and_another_is_not(graph):
 def test_the_clock_never_runs_back_and_reaches_no_stamp_that_has_not_been_sent(graph):
     listener = graph.add(Listener(graph, fix=JointState))
     play(graph, listener, speed=2.0)
-    clocks = [clock for clock, _ in listener.clocks]
+    graph.until(lambda: listener.clocks[-1] == BEGIN_NS + SECOND - 1, 'the last clock')
+    clocks = listener.clocks
     sent = stamps(message for _, message in listener.measured)
     assert np.diff(clocks).min() >= 0 and not set(clocks) & set(sent)
     assert {stamp - 1 for stamp in sent} <= set(clocks)
@@ -126,10 +136,9 @@ def test_the_clock_never_runs_back_and_reaches_no_stamp_that_has_not_been_sent(g
 def test_a_second_at_double_speed_takes_half_a_second(graph):
     listener = graph.add(Listener(graph, fix=JointState))
     player = simulator(graph, speed=2.0)
-    spin = lambda timeout: graph.executor.spin_once(timeout_sec=timeout)  # noqa: E731
     graph.until(lambda: not player._missing())
     began = time.monotonic()
-    player.play(spin)
+    player.play(spinner(graph))
     assert 0.5 <= time.monotonic() - began - 0.5 < 1.5  # the other half is the clock's lead
     graph.until(lambda: len(listener.measured) == 11)
 
@@ -179,21 +188,19 @@ def test_at_speed_0_nothing_is_sent_before_what_came_before_it_is_answered(graph
     listener = graph.add(Listener(graph, respond=4, fix=JointState))
     player = simulator(graph, speed=0.0, timeout=1.0)
     with pytest.raises(TimeoutError, match='no pose on /filter_node/pose .* at 1.400 s'):
-        player.play(lambda timeout: graph.executor.spin_once(timeout_sec=timeout))
+        player.play(spinner(graph))
     assert len(listener.measured) == 5
 
 
 def test_says_who_is_missing_where_nobody_listens(graph):
     with pytest.raises(TimeoutError, match='nobody at /fix, /clock after 0.2 s'):
-        simulator(graph, timeout=0.2).play(
-            lambda timeout: graph.executor.spin_once(timeout_sec=timeout))
+        simulator(graph, timeout=0.2).play(spinner(graph))
 
 
 def test_stops_at_once_when_told_to(graph):
     listener = graph.add(Listener(graph, fix=JointState))
     simulator(graph, duration=50.0, speed=10.0).play(
-        lambda timeout: graph.executor.spin_once(timeout_sec=timeout),
-        stopped=lambda: len(listener.measured) >= 5)
+        spinner(graph), stopped=lambda: len(listener.measured) >= 5)
     assert 5 <= len(listener.measured) <= 7
 
 
@@ -253,21 +260,43 @@ def test_a_signal_ends_it_with_status_0_and_not_a_word(number):
 @pytest.mark.parametrize('arguments, line', [
     (['--system', 'lorenz'], '--system: expected one of arctangent_sensor, '),
     (['--sytem', 'wiener'], 'unrecognized arguments: --sytem wiener'),
+    (['--syste', 'wiener'], 'unrecognized arguments: --syste wiener'),
     (['--seed', 'x'], "argument --seed: invalid int value: 'x'"),
-    (['--system', 'wiener', '--duration', '-1'], 'duration: expected a positive number, got -1'),
-    (['--system', 'wiener', '--ros-args', '-p', 'filter.tipe:=ekf'],
-     "filter.tipe: expected a known parameter ('filter.type'?), got 'ekf'"),
-    (['--ros-args', '--params-file', '/absent.yaml'], '/absent.yaml: expected a readable file'),
+    (['--seed'], 'argument --seed: expected one argument'),
 ])
-def test_what_makes_no_simulation_is_one_line_and_status_2(arguments, line):
+def test_arguments_that_are_none_are_refused_in_one_line(arguments, line):
+    with pytest.raises(ValueError) as refused:
+        understood(['simulate', *arguments, '--ros-args', '-p', 'frame_id:=hall'])
+    assert str(refused.value).startswith(line) and '\n' not in str(refused.value)
+
+
+def test_a_named_system_is_its_parameter_file_before_all_else_and_settings_are_read():
+    arguments, given = understood([
+        'simulate', '--system', 'wiener', '--start', '-1.5', '2', '--no-inside', '--seed', '3',
+        '--ros-args', '-p', 'frame_id:=hall'])
+    before, _, after = ' '.join(arguments).partition(' -- ')
+    assert before.startswith('simulate --ros-args --params-file /')
+    assert before.endswith('/config/wiener.yaml') and after.endswith('--ros-args -p frame_id:=hall')
+    assert given == {'start': [-1.5, 2.0], 'inside': False, 'seed': 3}
+    assert understood(['simulate', '--path']) == (['simulate', '--path'], {'path': True})
+
+
+def process_fails(*arguments: str) -> str:
+    """Return the one line with which the executable refuses some arguments."""
     _, errors = (running := process(*arguments)).communicate(timeout=30.0)
-    assert running.returncode == 2 and errors.startswith(f'simulate: {line}')
-    assert errors.count('\n') == 1
+    assert running.returncode == 2 and errors.count('\n') == 1
+    return errors
+
+
+def test_what_makes_no_simulation_is_one_line_and_status_2():
+    assert process_fails('--system', 'wiener', '--duration', '-1') == (
+        'simulate: duration: expected a positive number, got -1.0\n')
+    assert process_fails('--ros-args', '--params-file', '/absent.yaml') == (
+        'simulate: /absent.yaml: expected a readable file, got No such file or directory\n')
 
 
 def test_parameters_for_another_node_only_are_refused(tmp_path):
     path = write_parameters(tmp_path / 'robot.yaml', {'model.name': 'wiener'}, '/filter_node')
-    _, errors = (running := process('--ros-args', '--params-file', str(path))).communicate()
-    assert running.returncode == 2
-    assert errors == ('simulate: --params-file: expected parameters for the node /simulate, got '
-                      'some for /filter_node only\n')
+    assert process_fails('--ros-args', '--params-file', str(path)) == (
+        'simulate: --params-file: expected parameters for the node /simulate, got some for '
+        '/filter_node only\n')

@@ -352,23 +352,40 @@ def test_a_path_in_other_units_says_the_same(name):
         assert a[1] - b[1] == pytest.approx(np.log(abs(np.linalg.det(A))) if k else 0, abs=1e-6)
 
 
-@pytest.mark.parametrize('name', ['symmetric', 'splitting', 'post', 'pre', 'extended'])
-def test_what_changes_with_time_is_asked_at_its_time(name):
-    # a path with a known slope of its own, and noise that grows, is the path without it
-    plain = {'s': Sensor(lambda x, t: x, [[0.2]])}
-    moving = {'s': Sensor(lambda x, t: x + t, lambda t: np.array([[0.2 + 1e-9 * t]]),
-                          time_dependent=True)}
-    one, other = (any_filter(name, sensors=sensors, step=0.02) for sensors in (plain, moving))
+@pytest.mark.parametrize('name, start_ns, tolerance', [
+    # h moves on by 0.02 in a step: taken at one end instead of at both, that is half of it, which
+    # in 0.4 s shifts the mean by more than 1e-3
+    ('symmetric', 40 * SECOND, 4e-4), ('extended', 40 * SECOND, 1e-9),
+    ('splitting', 40 * SECOND, 8e-3),
+    # where h is far from 0 these are poor: h dy at one end does not meet h^2 half way
+    ('post', 0, 8e-3), ('pre', 0, 8e-3)])
+def test_a_slope_that_changes_with_time_is_asked_at_its_time(name, start_ns, tolerance):
+    # x + t is the path of x, and t^2 / 2
+    one, other = (any_filter(name, step=0.02, sensors={'s': sensor}) for sensor in (
+        Sensor(lambda x, t: x, [[0.2]]),
+        Sensor(lambda x, t: x + t, [[0.2]], time_dependent=True)))
     start = one.gaussian([0.4], [[0.5]])
-    # with h far from 0 the Yau equation's forms are poor: h dy at an end, h^2 half way
-    stamps = (0 if name in SCHEMES[2:] else 40) * SECOND + np.arange(20) * (SECOND // 50)
+    stamps = start_ns + np.arange(20) * (SECOND // 50)
     ys, t = np.cumsum(np.random.default_rng(6).normal(0, 0.06, size=20)), stamps / SECOND
     steps = zip(track(one, start, list(zip(stamps.tolist(), ys[:, None]))),
                 track(other, start, list(zip(stamps.tolist(), (ys + t**2 / 2)[:, None]))))
     for (a, log_a), (b, log_b) in steps:
-        # at most t + eps or t - eps for the mean of both: 0.02 of h, for 0.4 s
-        np.testing.assert_allclose(a.mean(), b.mean(), atol=8e-3)
-        assert log_a == pytest.approx(log_b, abs=2e-2)
+        np.testing.assert_allclose(a.mean(), b.mean(), atol=tolerance)
+        assert log_a == pytest.approx(log_b, abs=3 * tolerance)
+
+
+@pytest.mark.parametrize('name', EVERY)
+def test_noise_that_changes_with_time_is_asked_at_its_time(name):
+    def noise(t):
+        return np.array([[0.2 if 39 < t < 42 else 7.0]])
+
+    one, other = (any_filter(name, sensors={'s': Sensor(lambda x, t: x, C)})
+                  for C in ([[0.2]], noise))
+    points = [(40 * SECOND + k * STEP, [0.1 * k * k]) for k in range(10)]
+    start = one.gaussian([0.4], [[0.5]])
+    for (a, log_a), (b, log_b) in zip(track(one, start, points), track(other, start, points)):
+        np.testing.assert_allclose(a.mean(), b.mean(), rtol=1e-9)
+        assert log_a == pytest.approx(log_b, rel=1e-9)
 
 
 def test_the_extended_filter_takes_multiplicative_noise_in_its_sense():

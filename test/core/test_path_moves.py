@@ -13,7 +13,7 @@ E = np.array([[0.9, 0.2], [0.1, 1.4]])
 H, R = np.array([[1.0, -0.5]]), np.array([[0.3]])
 MEAN, COVARIANCE = np.array([0.5, -0.3]), np.array([[0.5, 0.1], [0.1, 0.3]])
 MEASURED = [(t * MS, 's', [y]) for t, y in (
-    (100, 1.4), (150, -0.2), (250, 0.9), (350, 1.1), (400, -0.4), (500, -1.2))]
+    (100, 1.0), (150, 0.2), (250, 0.9), (350, 0.7), (400, -0.1))]
 
 
 def posterior_of(r, changing=False):
@@ -59,7 +59,7 @@ def assert_distributed(paths, mean, covariance):
     flat = paths.transpose(1, 0, 2).reshape(len(mean), -1)
     count = flat.shape[1]
     z = np.linalg.solve(np.linalg.cholesky(covariance), flat - mean[:, None])
-    # of 14 means and 105 second moments none is 4.5 standard errors off, by chance 1e-3
+    # of 12 means and 78 second moments none is 4.5 standard errors off, by chance 6e-4
     assert np.abs(z.mean(axis=1)).max() * np.sqrt(count) < 4.5
     errors = (z @ z.T / count - np.eye(len(mean))) * np.sqrt(count)
     assert (np.abs(errors) / np.sqrt(1 + np.eye(len(mean)))).max() < 4.5
@@ -69,19 +69,21 @@ WAYS = pytest.mark.parametrize('r, changing', [(0.0, False), (0.5, False), (1.0,
 
 
 @WAYS
-@pytest.mark.parametrize('count, draw_below', [(3, 0.5), (6, 0.5), (4, 2.0)])
+@pytest.mark.parametrize('count, draw_below', [(3, 2.0), (5, 0.5)])
 def test_particle_moves_of_few_particles_leave_the_posterior_as_it_is(
         r, changing, count, draw_below, monkeypatch):
-    # started from exact draws, so that what one move spoils is seen at once; with draws at every
-    # step, and with as many as there usually are
+    # from exact draws on, so that whatever a move spoils grows; with draws at every step, and
+    # with as many as there usually are
     monkeypatch.setattr(particles, 'RESAMPLE', draw_below)
+    monkeypatch.setattr(particles, 'MORE_AT_FIRST', 2)
     posterior, rng = posterior_of(r, changing), np.random.default_rng(count)
     mean, covariance = exact(posterior, changing)
-    before = drawn(mean, covariance, 40_000, rng)
-    after = particles.renewed(posterior, before, before.shape[2], count, rng)
+    paths = before = drawn(mean, covariance, 8000, rng)
+    for _ in range(15):
+        paths = particles.renewed(posterior, paths, paths.shape[2], count, rng)
     assert_distributed(before, mean, covariance)
-    assert_distributed(after, mean, covariance)
-    assert np.mean(np.any(after != before, axis=0), axis=1).min() > 0.1
+    assert_distributed(paths, mean, covariance)
+    assert np.mean(np.any(paths != before, axis=0), axis=1).min() > 0.5
 
 
 @WAYS

@@ -20,6 +20,10 @@ Array = NDArray[np.float64]
 
 #: What random numbers are for: each purpose has its own key, so that no two share any.
 NOISE, RESAMPLING, START = 1, 2, 3
+#: A particle this many widths of the box away from its middle has blown up.
+FAR = 10.0
+#: How many steps a trial of the step's length takes, and what share may die in it without a word.
+TRIAL, DYING = 10, 0.01
 #: Weights as equal as this are equal: the rounding of their sum must not resample them.
 EQUAL = 1 - 1e-9
 
@@ -30,8 +34,9 @@ class ParticleFilter:
     The bootstrap particle filter: sequential importance resampling  [Gordon et al. 1993].
 
     time_step: seconds per Euler-Maruyama step of the drift in Ito's sense; box: what a uniform
-    belief fills, and which states go round; particles: how many; threshold: before a step, the
-    cloud is resampled if its effective size is below this share of the particles.
+    belief fills, and which states go round; it does not hold the particles, but one that is ten
+    widths of it away has blown up; particles: how many; threshold: before a step, the cloud is
+    resampled if its effective size is below this share of the particles.
 
     The posterior is a function of the ordered measurements and the seed: the random numbers of
     a step are those of its stamp, whoever asks for it and however often.
@@ -82,7 +87,7 @@ class ParticleFilter:
         """
         Return the particles moved to a later stamp; ValueError for an earlier one.
 
-        A particle that blows up dies: its weight is 0 from then on.
+        A particle that blows up dies where it was last: its weight is 0 from then on.
         """
         x, log_w, weighed = belief.points, belief.log_weights, None
         for start, length in time_steps(from_ns, to_ns, self.time_step_ns):
@@ -91,7 +96,7 @@ class ParticleFilter:
                     break
                 x, log_w = self._resampled(x, log_w, start)
                 weighed = log_w
-            x, log_w = _living(x, self._moved(x, start, length / NANOSECONDS), log_w)
+            x, log_w = self._living(x, self._moved(x, start, length / NANOSECONDS), log_w)
         return ParticleBelief(x, log_w, belief.box)
 
     @np.errstate(over='ignore', invalid='ignore', divide='ignore')
@@ -124,8 +129,14 @@ class ParticleFilter:
         return f'particle filter with {self.particles:,} particles'
 
     def remarks(self) -> list[str]:
-        """Return nothing: it has no grid that could be too coarse."""
-        return []
+        """Return a sentence where the step is too long for particles from all over the box."""
+        if self.box is None:
+            return []
+        dead = 1 - self.predict(self.uniform(), 0, TRIAL * self.time_step_ns).mass
+        if dead < DYING:
+            return []
+        return [f'kernel.time_step: {dead:.0%} of particles from all over the box blow up within '
+                f'{TRIAL} steps of {self.time_step:g} s, and die; shorter steps keep them']
 
     def _cloud(self, x: Array) -> ParticleBelief:
         equal = np.full(self.particles, -math.log(self.particles))
@@ -159,6 +170,24 @@ class ParticleFilter:
         moved += h * model.ito_drift(x, t)
         return wrapped(moved, self.box)
 
+    def _living(self, x: Array, moved: Array, log_w: Array) -> tuple[Array, Array]:
+        """Return the particles after a move; those that blew up stay, with weight 0."""
+        low, high = self._reach
+        # a comparison with NaN is false
+        if np.all(low < moved.min(axis=1)) and np.all(moved.max(axis=1) < high):
+            return moved, log_w
+        alive = np.all((low[:, None] < moved) & (moved < high[:, None]), axis=0)
+        return np.where(alive, moved, x), np.where(alive, log_w, -np.inf)
+
+    @cached_property
+    def _reach(self) -> tuple[Array, Array]:
+        """Return the least and the largest states that are not taken for blown up, (n,) each."""
+        if self.box is None:
+            high = np.full(self.model.ndim, LARGEST)
+            return -high, high
+        low, high = np.array(self.box.lower), np.array(self.box.upper)
+        return (low + high) / 2 - FAR * (high - low), (low + high) / 2 + FAR * (high - low)
+
     def _factor_at(self, t: float) -> Array:
         """Return e Q^(1/2) where e is the same for all states, else Q^(1/2)."""
         model = self.model
@@ -170,15 +199,6 @@ class ParticleFilter:
     @cached_property
     def _constant_factor(self) -> Array:
         return _factor(self.model, 0.0)
-
-
-def _living(x: Array, moved: Array, log_w: Array) -> tuple[Array, Array]:
-    """Return the particles after a move; those that blew up stay, with weight 0."""
-    # a comparison with NaN is false
-    if -LARGEST < moved.min() and moved.max() < LARGEST:
-        return moved, log_w
-    dead = ~np.all(np.abs(moved) < LARGEST, axis=0)
-    return np.where(dead, x, moved), np.where(dead, -np.inf, log_w)
 
 
 def _factor(model: StateModel, t: float) -> Array:

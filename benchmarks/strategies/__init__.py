@@ -1,0 +1,1 @@
+"""The practical strategies of the paper, each with its trade measured  [Sensors, section 4.3]."""
