@@ -11,7 +11,7 @@ from benchmarks.report import Table, write
 from benchmarks.timing import Effort
 
 #: Each is a module of this package with run(effort) -> Table.
-CASES = ('step', 'build', 'rivals', 'node')
+CASES = ('step', 'build', 'rivals', 'paths', 'node')
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 import dataclasses
 from dataclasses import dataclass
 import math
-from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -66,12 +65,14 @@ class Scenario:
     """
     A truth, and what is measured of it.
 
-    elapsed_ns: since the first measurement, (T,); truth: (T, n); measurements: by source, (T, m).
+    elapsed_ns: since the first measurement, (T,); truth: (T, n); measurements: by source, (T, m);
+    changes_with_time: whether they hold for a beginning at BEGIN_NS only.
     """
 
     elapsed_ns: NDArray[np.int64]
     truth: Array
     measurements: Mapping[str, Array]
+    changes_with_time: bool
 
 
 def measures_paths(config: Config, settings: Settings) -> bool:
@@ -101,7 +102,9 @@ def scenario(config: Config, settings: Settings) -> Scenario:
         else:
             measurements[name] = np.array([measure(sensor, x, t, rng) for x, t in zip(
                 truth[::substeps], fine[::substeps])])
-    return Scenario(elapsed_ns, truth[::substeps], measurements)
+    changes = filter_.model.changes_with_time or any(
+        s.time_dependent or callable(s.covariance) for s in filter_.sensors.values())
+    return Scenario(elapsed_ns, truth[::substeps], measurements, changes)
 
 
 def drawn(config: Config, rng: Generator) -> Array:

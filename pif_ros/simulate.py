@@ -1,4 +1,4 @@
-"""The executable simulate: it reads what is wanted, plays to the end, and ends well at a signal."""
+"""The executable simulate: it plays what is wanted to the end, and ends well at a signal."""
 
 from __future__ import annotations
 

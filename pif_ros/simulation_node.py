@@ -63,11 +63,11 @@ class Simulator(Node):
         self.settings = Settings.from_values({**own, **(given or {})})
         self.config = Config.from_parameters(told)
         self._makes_time = bool(self.get_parameter('use_sim_time').value)
-        self._check_time()
         model = find_system(self.config).model
         self._names = list(model.names)
         self._axes = state_axes('pose.axes', self.config.pose.axes or model.names[:2], model)
         self.scenario = scenario(self.config, self.settings)
+        self._check_time()
         self._open()
 
     def play(self, spin: Spin, stopped: Callable[[], bool] = lambda: False) -> None:
@@ -97,9 +97,8 @@ class Simulator(Node):
         if self.settings.speed != 1.0:
             raise ConfigError('speed: expected 1 where use_sim_time is false, '
                               f'got {self.settings.speed!r}')
-        if find_system(self.config).model.changes_with_time:
-            raise ConfigError('use_sim_time: expected true for a model that changes with time, '
-                              'got False')
+        if self.scenario.changes_with_time:
+            raise ConfigError('use_sim_time: expected true for what changes with time, got False')
 
     def _open(self) -> None:
         """Create the topics."""

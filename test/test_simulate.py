@@ -10,6 +10,8 @@ from typing import Any
 from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped
 import numpy as np
 from pif_ros.config import ConfigError
+from pif_ros.core.models import Sensor, StateModel
+from pif_ros.core.systems import System, SYSTEMS
 from pif_ros.scenario import BEGIN_NS
 from pif_ros.simulate import understood
 from pif_ros.simulation_node import Simulator
@@ -226,6 +228,31 @@ def test_what_cannot_be_simulated_is_refused_in_one_line(graph, parameters, sett
     assert str(refused.value).startswith(line) and '\n' not in str(refused.value)
 
 
+def test_what_changes_with_time_needs_a_time_of_its_own(graph, monkeypatch):
+    def rising() -> System:
+        model = StateModel(('x',), lambda x, t: np.full_like(x, t), [[1e-6]], time_dependent=True)
+        return System(model, {'position': lambda: Sensor(lambda x, t: x + t, [[1e-12]],
+                                                         time_dependent=True)})
+
+    monkeypatch.setitem(SYSTEMS, 'rising', rising)
+    line = {'use_sim_time': True, 'model.name': 'rising', 'grid.lower': [-9.0],
+            'grid.upper': [9.0], 'grid.shape': [20], 'prior.mean': [0.0],
+            'prior.covariance_diagonal': [1.0], 'kernel.time_step': 0.01}
+    played = simulator(graph, line, start=[0.0]).scenario
+    # from 1 s, where it begins, to 2 s: 1.5, within half a substep; the sensor adds 2
+    assert played.truth[-1, 0] == pytest.approx(1.5, abs=0.001)
+    assert played.measurements['main'][-1, 0] == pytest.approx(3.5, abs=0.001)
+    with pytest.raises(ConfigError, match='^use_sim_time: expected true .* got False$'):
+        simulator(graph, {**line, 'use_sim_time': False}, speed=1.0)
+    graph._refused = True
+
+
+def test_a_terminal_sees_how_far_it_is(graph, monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, 'isatty', lambda: True)
+    play(graph, graph.add(Listener(graph, fix=JointState)))
+    assert '100%' in capsys.readouterr().err
+
+
 def test_settings_may_stand_among_the_parameters_and_arguments_count_above_them(graph):
     player = simulator(graph, {**PLANE, 'seed': 7, 'duration': 3, 'rate': 20}, duration=2.0)
     assert (player.settings.seed, player.settings.duration, player.settings.rate) == (7, 2.0, 20.0)
@@ -276,7 +303,8 @@ def test_a_named_system_is_its_parameter_file_before_all_else_and_settings_are_r
         '--ros-args', '-p', 'frame_id:=hall'])
     before, _, after = ' '.join(arguments).partition(' -- ')
     assert before.startswith('simulate --ros-args --params-file /')
-    assert before.endswith('/config/wiener.yaml') and after.endswith('--ros-args -p frame_id:=hall')
+    assert before.endswith('/config/wiener.yaml')
+    assert after.endswith('--ros-args -p frame_id:=hall')
     assert given == {'start': [-1.5, 2.0], 'inside': False, 'seed': 3}
     assert understood(['simulate', '--path']) == (['simulate', '--path'], {'path': True})
 

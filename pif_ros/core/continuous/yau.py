@@ -126,7 +126,7 @@ class YauSteps:
     def _square(self, x: Array, t: float) -> Array:
         """Return h^T C^-1 h at states (n, N)."""
         v = np.asarray(self.increments.path.function(x, t), dtype=float)
-        v = np.linalg.solve(np.linalg.cholesky(self.increments.path.noise(t)), v)
+        v = np.linalg.inv(np.linalg.cholesky(self.increments.path.noise(t))) @ v
         return np.einsum('ik,ik->k', v, v)
 
 

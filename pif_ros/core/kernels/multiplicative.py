@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.grid import Grid
-from pif_ros.core.kernels.formula import log_transition_density
+from pif_ros.core.kernels.formula import drift_terms, log_transition_density
 from pif_ros.core.kernels.lattice import box, Integers, reach, whole_cells
 from pif_ros.core.kernels.moments import noise_roughness, StepMoments
 from pif_ros.core.kernels.sampled import normalised
@@ -56,8 +56,21 @@ class MultiplicativeStencil:
         moved = (self.shift[:, cells[cell]] + self.offsets[:, move]) * grid.spacing[:, None]
         log_w = np.full(near.shape, -np.inf)
         with np.errstate(all='ignore'):
-            log_w[near] = log_transition_density(model, x + moved, x, self._settings, self._t)
+            log_w[near] = (self._bent if model.noise_bends else self._straight)(x, moved, cell,
+                                                                                cells)
         return normalised(log_w, self._reach), None
+
+    def _bent(self, x: Array, moved: Array, cell: Integers, cells: Integers) -> Array:
+        return log_transition_density(self._model, x + moved, x, self._settings, self._t)
+
+    def _straight(self, x: Array, moved: Array, cell: Integers, cells: Integers) -> Array:
+        """Return the same but for a constant of each cell, whose noise is one for all its moves."""
+        settings, eps = self._settings, self._settings.time_step
+        f, log_jacobian = drift_terms(self._model, x + settings.r * moved, settings, self._t)
+        g = self._model.diffusion_at(self._grid.points[:, cells], self._t + settings.r * eps)
+        whiten = np.linalg.inv(np.linalg.cholesky(eps * np.moveaxis(g, -1, 0)))
+        z = np.einsum('kij,jk->ik', whiten[cell], moved - eps * f)
+        return log_jacobian - 0.5 * np.einsum('ik,ik->k', z, z)
 
     def _skew(self, cells: Integers) -> float:
         """Return how much longer the longer tail is, since noise that bends widens on its way."""

@@ -1,0 +1,48 @@
+"""Numbers into messages: what a field_reader reads of them then."""
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from pif_ros.conversions import field_reader, field_writer, message_class
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+
+
+@pytest.mark.parametrize('name, fields, values', [
+    ('std_msgs/msg/Float64MultiArray', [], (1.5, -2.0, 1e-300)),
+    ('std_msgs/msg/Float64', ['data'], (0.1,)),
+    ('sensor_msgs/msg/JointState', ['position'], (1.5, 2.0)),
+    ('sensor_msgs/msg/JointState', ['velocity[0]', 'position'], (9.0, 1.5, 2.0)),
+    ('sensor_msgs/msg/LaserScan', ['ranges[2]', 'ranges[0]', 'angle_min'], (1.0, 2.0, 0.5)),
+    ('geometry_msgs/msg/PointStamped', ['point.z', 'point.x'], (3.0, 1.0)),
+    ('geometry_msgs/msg/PoseWithCovarianceStamped', ['pose.covariance[7]'], (4.0,)),
+    ('geometry_msgs/msg/PoseWithCovarianceStamped', ['pose.pose.position.y', 'pose.covariance'],
+     tuple(map(float, range(37)))),
+    ('std_msgs/msg/UInt8MultiArray', ['data'], (3.0, 255.0)),
+    ('std_msgs/msg/Int32', ['data'], (-7.0,)),
+], ids=str)
+def test_what_is_written_is_read_again(name, fields, values):
+    kind = message_class(name)
+    message = kind()
+    field_writer(kind, fields, len(values))(message, values)
+    heard = deserialize_message(serialize_message(message), kind)
+    assert field_reader(kind, fields)(heard) == values
+
+
+def test_nothing_else_is_written():
+    message = PoseWithCovarianceStamped()
+    message.pose.covariance[0] = 2.0
+    field_writer(PoseWithCovarianceStamped, ['pose.covariance[7]'], 1)(message, [3.0])
+    assert message.pose.covariance.tolist() == [2.0] + [0.0] * 6 + [3.0] + [0.0] * 28
+
+
+@pytest.mark.parametrize('name, fields, size, wanted', [
+    ('geometry_msgs/msg/PointStamped', ['point.x'], 2, 'fields that hold 2 numbers'),
+    ('geometry_msgs/msg/PointStamped', ['point.x', 'point.y'], 1, 'fields that hold 1 numbers'),
+    ('sensor_msgs/msg/JointState', ['position', 'velocity'], 3, 'fields that hold 3 numbers'),
+    ('geometry_msgs/msg/PoseArray', ['poses[0].position.x'], 1, 'an index at the end of a path'),
+    ('std_msgs/msg/Bool', ['data'], 1, 'fields of real or whole numbers'),
+    ('sensor_msgs/msg/Range', ['rang'], 1, 'fields out of'),
+])
+def test_fields_that_cannot_hold_just_so_many_numbers_are_refused(name, fields, size, wanted):
+    with pytest.raises(ValueError, match=f'^expected {wanted}.* got') as refused:
+        field_writer(message_class(name), fields, size)
+    assert '\n' not in str(refused.value)
