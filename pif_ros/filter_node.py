@@ -37,6 +37,9 @@ SLICE = 32
 LONG_REPLAY = 4
 #: ... but no longer than this, in seconds.
 PATIENCE = 0.2
+#: Predicting the pose to now has one in so many parts of the time at most, the rest is for
+#: measurements.
+FORECASTS_TAKE = 4
 
 
 class FilterNode(Node):
@@ -63,6 +66,7 @@ class FilterNode(Node):
         self._burst_since: float | None = None
         self._arrivals = self._arrivals_seen = 0
         self._published_ns = -1
+        self._next_forecast = 0.0
         self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
         self._live: dict[str, Any] = {'pose.estimator': self.config.pose.estimator,
                                       'density.rate': self.config.density.rate}
@@ -195,8 +199,12 @@ class FilterNode(Node):
             self.report('stale', f'the newest measurement is {age:.0f} s old, more than '
                         'time.max_forecast: no pose until the next one')
             return
-        if now_ns > self._published_ns:
+        if now_ns > self._published_ns and time.monotonic() >= self._next_forecast:
+            began = time.monotonic()
             self._publish(self.tracker.forecast(now_ns))
+            took = FORECASTS_TAKE * (time.monotonic() - began)
+            if took * self.config.publish.rate > 1:
+                self._next_forecast = began + took
 
     def drain(self) -> None:
         """Put what waits in the queue where it belongs, as far as the work can take it."""
@@ -269,6 +277,8 @@ class FilterNode(Node):
             return
         stamp_ns = max(estimate.stamp_ns, self._published_ns)
         if estimate.stamp_ns < stamp_ns:
+            if self._is_left_to_the_timer(estimate.stamp_ns):
+                return
             estimate = self.tracker.forecast(stamp_ns)
         belief = estimate.belief
         if not belief.mass > 0:
@@ -277,6 +287,12 @@ class FilterNode(Node):
             return
         self._published_ns = stamp_ns
         self._outputs.publish(belief, stamp_ns)
+
+    def _is_left_to_the_timer(self, stamp_ns: int) -> bool:
+        """Return whether an estimate lies so far back that predicting each to now would not end."""
+        rate, now_ns = self.config.publish.rate, self._now()
+        return bool(rate and now_ns is not None and now_ns > self._published_ns
+                    and self._published_ns - stamp_ns > NANOSECONDS / rate)
 
     def report(self, kind: str, text: str) -> None:
         """Warn of something, at most one line of a kind every few seconds."""

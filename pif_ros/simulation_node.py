@@ -65,7 +65,8 @@ class Simulator(Node):
         self._makes_time = bool(self.get_parameter('use_sim_time').value)
         model = find_system(self.config).model
         self._names = list(model.names)
-        self._axes = state_axes('pose.axes', self.config.pose.axes or model.names[:2], model)
+        axes = self.config.pose.axes or model.names[:2]
+        self._axes = state_axes('pose.axes', axes, model)[:len(conversions.POSE_AXES)]
         self.scenario = scenario(self.config, self.settings)
         self._check_time()
         self._open()

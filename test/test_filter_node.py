@@ -23,6 +23,7 @@ from rclpy.clock import ClockType
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros import DEEP, nanoseconds, Rig, SECOND, stamp_into
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Range
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Empty, Trigger
@@ -1054,6 +1055,50 @@ def test_a_sensor_that_raises_costs_its_measurement_and_no_other(graph):
     check_same(belief(rig), library(measurements=[*track(3), later]).estimate().belief)
     assert (account.received, account.accepted) == (5, 4)
     check_balance(rig)
+
+
+def test_a_node_that_lags_behind_leaves_the_forecasts_to_the_timer(graph):
+    rig = Rig(graph, {**SIMULATED, 'time.max_ahead': 10.0})
+    rig.tick(T)
+    follow(rig, track(1))
+    rig.tick(T + 5 * SECOND)
+    rig.pose_at(T + 5 * SECOND)
+    made, forecast = [], rig.node.tracker.forecast
+    rig.node.tracker.forecast = lambda stamp_ns: made.append(stamp_ns) or forecast(stamp_ns)
+    # the clock goes on, and measurements of seconds ago come in: none is predicted to now by itself
+    message = Clock()
+    stamp_into(message.clock, T + 6 * SECOND)
+    rig.node.destroy_timer(next(iter(rig.node.timers)))
+    rig.send('/clock', message)
+    graph.until(lambda: rig.node.get_clock().now().nanoseconds == T + 6 * SECOND, 'the clock')
+    for k, (stamp_ns, *values) in enumerate(track()[1:]):
+        rig.send('fix', fix(stamp_ns, *values))
+        rig.handled(k + 2)
+    graph.until(lambda: not rig.node.tracker.backlog, 'the corrections')
+    assert made == []
+    rig.node._on_timer()
+    assert made == [T + 6 * SECOND]
+    check_pose(rig.pose_at(T + 6 * SECOND),
+               library(SIMULATED, track()).forecast(T + 6 * SECOND))
+
+
+def test_slow_forecasts_leave_three_quarters_of_the_time_to_measurements(graph):
+    rig = Rig(graph, {**PLANE, 'publish.rate': 100.0})
+    made, forecast = [], rig.node.tracker.forecast
+
+    def slow(stamp_ns):
+        began = time.monotonic()
+        time.sleep(0.03)
+        found = forecast(stamp_ns)
+        made.append((began, time.monotonic()))
+        return found
+
+    rig.node.tracker.forecast = slow
+    rig.send('fix', fix(time.time_ns(), 0.1, 0.2))
+    graph.until(lambda: len(made) >= 4, 'four forecasts')
+    for (began, ended), (later, _) in zip(made, made[1:]):
+        # to the clock's own grain
+        assert later - began >= 4 * (ended - began) - 1e-3
 
 
 def test_replays_that_never_end_take_no_more_late_measurements(graph):

@@ -82,7 +82,7 @@ def test_the_version_is_the_same_everywhere(distribution):
 
 def test_console_scripts_are_installed_where_ros_looks_for_them_and_load(prefix, distribution):
     scripts = distribution.entry_points.select(group='console_scripts')
-    assert scripts.names == {'filter_node', 'plaza_player', 'plaza_demo'}
+    assert scripts.names == {'filter_node', 'plaza_player', 'plaza_demo', 'reproduce', 'simulate'}
     for script in scripts:
         assert callable(script.load())
         assert os.access(prefix / 'lib' / 'pif_ros' / script.name, os.X_OK)

@@ -10,7 +10,7 @@ from benchmarks.progress import Progress
 from benchmarks.reference import Referee
 from benchmarks.report import Row, Table
 from benchmarks.strategies.measures import (
-    carried, Density, exact_on_line, l1, line, LINE_CELLS, start, to_exact)
+    carried, Density, exact_on_line, l1, line, LINE_CELLS, products, start, to_exact)
 from benchmarks.timing import Contestant, Effort, interleave
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import dirac_feynman, KernelSettings
@@ -74,8 +74,8 @@ def _rows(problem: Problem, effort: Effort) -> list[Row]:
         made[case] = time.perf_counter() - before
         progress.show((number + 1) / len(cases))
     samples = interleave(
-        {names[case]: Contestant(lambda k, case=case: carried(
-            operators[case], p, STEPS // case[0])) for case in cases}, effort.scaled(TURNS), 1)
+        {names[case]: Contestant(products(operators[case], p, STEPS // case[0]))
+         for case in cases}, effort.scaled(TURNS), 1)
     plain = carried(K, p, STEPS)
     rows = []
     for case, operator in operators.items():

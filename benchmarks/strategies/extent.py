@@ -9,7 +9,7 @@ from benchmarks.progress import Progress
 from benchmarks.reference import Referee
 from benchmarks.report import Row, Table
 from benchmarks.strategies.measures import (
-    carried, Density, exact_on_line, line, LINE_CELLS, start, to_exact)
+    carried, Density, exact_on_line, line, LINE_CELLS, products, start, to_exact)
 from benchmarks.timing import Contestant, Effort, interleave
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import dirac_feynman, KernelSettings
@@ -73,7 +73,7 @@ def _rows(problem: Problem, effort: Effort) -> list[Row]:
     grid, p = problem.grid, start(problem.grid)
     kernels = {extent: dirac_feynman(problem.model, grid, KernelSettings(
         problem.time_step, extent=extent)) for extent in EXTENTS}
-    samples = interleave({str(extent): Contestant(lambda k, K=K: K @ p, PER_TURN)
+    samples = interleave({str(extent): Contestant(products(K, p), PER_TURN)
                           for extent, K in kernels.items()}, effort.scaled(TURNS), 1)
     rows = []
     for extent, K in kernels.items():

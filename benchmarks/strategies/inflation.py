@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from benchmarks.progress import Progress
@@ -9,6 +10,7 @@ from benchmarks.report import Row, Table
 from benchmarks.timing import Contestant, Effort, interleave
 import numpy as np
 from numpy.typing import NDArray
+from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
@@ -46,9 +48,8 @@ def run(effort: Effort) -> Table:
         for case, filter_ in filters.items():
             figures[case].append(_followed(filter_, track))
         progress.show((number + 1) / len(paths))
-    samples = interleave({str(case): Contestant(lambda k, filter_=filter_: _step(
-        filter_, filter_.uniform(), paths[0].measurements[k], k), 10)
-        for case, filter_ in filters.items()}, STEPS // 10, 1)
+    samples = interleave({str(case): Contestant(_steps(filter_, paths[0]), 10)
+                          for case, filter_ in filters.items()}, STEPS // 10, 1)
     rows = []
     for case in CASES:
         rmse, one, two = np.array(figures[case]).T
@@ -79,7 +80,13 @@ def _filter(cells: int, alpha: float) -> DiracFeynmanFilter:
                               KernelSettings(TIME_STEP, noise_inflation=alpha))
 
 
-def _step(filter_, belief, y: Array, k: int):  # type: ignore[no-untyped-def]
+def _steps(filter_: DiracFeynmanFilter, track: Track) -> Callable[[int], object]:
+    """Return what predicts a uniform belief, and corrects it with the k-th measurement."""
+    belief = filter_.uniform()
+    return lambda k: _step(filter_, belief, track.measurements[k], k)
+
+
+def _step(filter_: DiracFeynmanFilter, belief: GridBelief, y: Array, k: int) -> GridBelief:
     moved = filter_.predict(belief, k * STEP_NS, (k + 1) * STEP_NS)
     return filter_.correct(moved, y, 'arcsine', (k + 1) * STEP_NS)[0]
 

@@ -33,6 +33,11 @@ def carried(operator: Operator, p: Array, times: int) -> Array:
     return p
 
 
+def products(operator: Operator, p: Array, times: int = 1) -> Callable[[int], object]:
+    """Return what applies an operator to a density so many times, each time it is called."""
+    return lambda k: carried(operator, p, times)
+
+
 def l1(p: Array, q: Array, grid: Grid) -> float:
     """Return the integral of |p - q| over a grid."""
     return float(np.abs(p - q).sum() * grid.cell_volume)

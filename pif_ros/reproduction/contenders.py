@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import ArrayLike
 from pif_ros.core.continuous import DiracFeynmanYauFilter, ExtendedKalmanBucyFilter
 from pif_ros.core.filters import DiracFeynmanFilter, Filter
 from pif_ros.core.grid import Grid
-from pif_ros.core.kernels import KernelSettings
+from pif_ros.core.kernels import KernelSettings, OperatorSettings
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.rivals import ExtendedKalmanFilter, ParticleFilter, UnscentedKalmanFilter
 from pif_ros.reproduction.filtering import Contender
@@ -44,11 +45,17 @@ class Problem:
 
     def grid(self, name: str, role: str, grid: Grid, kernel: KernelSettings,
              average_cells: bool = True, shown: Mapping[str, Reading] | None = None,
-             prior: Prior | None = None) -> Contender:
-        """Return the Dirac-Feynman filter; it is the same for all seeds, and made once."""
+             prior: Prior | None = None, file: Path | None = None) -> Contender:
+        """
+        Return the Dirac-Feynman filter; it is the same for all seeds, and made once.
+
+        file: where its kernel is kept, for whoever makes the same one.
+        """
         @cache
         def start() -> tuple[Filter[Any], Any]:
-            filter_ = DiracFeynmanFilter(self.model, grid, self.sensors, kernel, average_cells)
+            operator = OperatorSettings(file=str(file or ''))
+            filter_ = DiracFeynmanFilter(self.model, grid, self.sensors, kernel, average_cells,
+                                         operator=operator)
             filter_.describe()
             return filter_, (prior or self.prior)(filter_)
         entry = Entry(name, role, f'{_cells(grid)}, {_kernel(kernel)}')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -47,8 +48,8 @@ class FilteringCase:
     Contenders on the same record.
 
     draw: returns a record from a generator; moments: what is estimated, means and variances (n,)
-    of a belief, and of the truth, transform: states (K, n) to the same (K, n); watched: further
-    figures of a belief, averaged over time.
+    of a belief, and of the truth, transform: states (K, n) to the same (K, n), after every so many
+    measurements; watched: further figures of a belief, averaged over time.
     """
 
     name: str
@@ -61,6 +62,7 @@ class FilteringCase:
     median: bool = False
     moments: Moments = moments
     transform: Callable[[Array], Array] = np.asarray
+    every: int = 1
     watched: Mapping[str, Reading] = field(default_factory=dict)
 
     @property
@@ -71,19 +73,21 @@ class FilteringCase:
     def run(self, seed: int, keep: bool) -> Outcome:
         """Return the scores of all contenders on the record of this seed."""
         record = self.draw(np.random.default_rng(seed))
-        tracks = {one.entry.name: self._track(one, seed, record, keep)
-                  for one in self.contenders}
-        best = [tracks[e.name] for e in self.entries if e.role == 'optimum']
-        optimum = best[0].means if best else None
-        truth = self.transform(record.truth)
-        scores = {name: scored(track, truth, optimum, self.watched)
-                  for name, track in tracks.items()}
+        scores, tracks, truth = {}, {}, self.transform(record.truth)
+        for one in self.contenders:
+            begin = perf_counter()
+            filter_, prior = one.start(seed)
+            made = perf_counter() - begin
+            track = follow(filter_, prior, record, self.moments,
+                           {**self.watched, **(one.shown if keep else {})}, self.every)
+            tracks[one.entry.name] = track
+            scores[one.entry.name] = {
+                **scored(track, truth[track.chosen], self.watched), 'start_s': made}
+        for role in ('optimum', 'best'):
+            for to in [tracks[e.name] for e in self.entries if e.role == role][:1]:
+                for name, track in tracks.items():
+                    scores[name][f'to_{role}'] = distance(track.means, to.means)
         return Outcome(scores, Followed(record, tracks) if keep else None)
-
-    def _track(self, one: Contender, seed: int, record: Record, keep: bool) -> Track:
-        filter_, prior = one.start(seed)
-        return follow(filter_, prior, record, self.moments,
-                      {**self.watched, **(one.shown if keep else {})})
 
 
 def film(grid: Grid, axis: int, every: int = 1) -> Reading:
@@ -92,26 +96,25 @@ def film(grid: Grid, axis: int, every: int = 1) -> Reading:
     return Reading(lambda belief: belief.on(cells, [axis]).density.astype(np.float32), every)
 
 
-def scored(track: Track, truth: Array, optimum: Array | None,
-           watched: Mapping[str, Reading]) -> dict[str, float]:
-    """
-    Return the scores of a track against the truth (K, n) and the optimum's means.
+def distance(a: Array, b: Array) -> float:
+    """Return the root of the mean squared difference over time and components, (K, n) each."""
+    return rmse(a - b) / np.sqrt(a.shape[1])
 
-    rmse and to_optimum: the root of the mean square over time and components; coverage: the share
-    of time and components within 1 and 2 standard deviations of the mean, 0.683 and 0.954 for a
-    Gaussian.  A track that ended early has no errors.
+
+def scored(track: Track, truth: Array, watched: Mapping[str, Reading]) -> dict[str, float]:
     """
-    n = truth.shape[1]
+    Return the scores of a track against the truth (K, n).
+
+    coverage: the share of time and components within 1 and 2 standard deviations of the mean,
+    0.683 and 0.954 for a Gaussian.  A track that ended early has no errors.
+    """
     errors, spread = truth - track.means, np.sqrt(np.maximum(track.variances, 0.0))
     lost = bool(track.fault)
-    scores = {
-        'rmse': rmse(errors) / np.sqrt(n),
+    return {
+        'rmse': distance(truth, track.means),
         'coverage_1': np.nan if lost else float(np.mean(np.abs(errors) < spread)),
         'coverage_2': np.nan if lost else float(np.mean(np.abs(errors) < 2 * spread)),
         'log_evidence': np.nan if lost else track.log_evidence,
         'mass': float(np.mean(track.masses)),
         'step_s': float(np.nanmedian(track.seconds)),
         **{name: float(np.mean(track.read[name])) for name in watched}}
-    if optimum is not None:
-        scores['to_optimum'] = rmse(track.means - optimum) / np.sqrt(n)
-    return scores

@@ -14,11 +14,12 @@ from pif_ros.reproduction.looks import (BLUE, framed, GREEN, GREY, INK, legend_o
                                         ORANGE, SKY, styled, VERMILION)
 from pif_ros.reproduction.records import Record
 from pif_ros.reproduction.tracks import Track
-from pif_ros.reproduction.transitions import Densities, REFERENCE
+from pif_ros.reproduction.transitions import Densities
 
 Array = NDArray[np.float64]
 
 _NANO = 1e-9
+#: Below this share of the densest point a density is drawn as none.
 _FLOOR = 1e-3
 _LINES = (BLUE, VERMILION, GREEN, ORANGE, SKY)
 
@@ -28,20 +29,13 @@ def transition_picture(found: Densities, shown: Mapping[str, str]) -> Figure:
     with styled():
         figure = framed(9.0, 0.8 + 2.1 * len(shown))
         rows = figure.subplots(len(shown), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-        x, bins = found.grid.axes[0], found.bins.axes[0]
         for ax, (title, name) in zip(rows, shown.items()):
-            for k in range(len(found.starts)):
-                ax.fill_between(bins, found.simulated[k], step='mid', color=GREY, lw=0,
-                                label=None if k else 'simulated paths')
-                ax.plot(x, found.by_entry[REFERENCE.name][k], color=INK, lw=0.9,
-                        label=None if k else 'Fokker-Planck equation')
-                ax.plot(x, found.by_entry[name][k], color=BLUE, lw=2.0, ls=(0, (4, 2)),
-                        label=None if k else 'path integral')
-                ax.plot([found.starts[k]], [0.0], '^', color=VERMILION, ms=7, clip_on=False,
-                        zorder=5, ls='', label=None if k else "starting points x'")
+            _transitions(ax, found, name)
             ax.set(title=title, ylabel='density')
             open_sides(ax)
-        rows[0].set(ylim=(0, None), xlim=_where(x, found))
+        seen = np.any([_seen(found.by_entry[name]).any(axis=0) for name in shown.values()], axis=0)
+        x = found.grid.axes[0][seen]
+        rows[0].set(ylim=(0, None), xlim=(x[0], x[-1]))
         rows[-1].set_xlabel("x''")
         legend_on_top(figure, rows[0], 4)
     return figure
@@ -49,55 +43,62 @@ def transition_picture(found: Densities, shown: Mapping[str, str]) -> Figure:
 
 def path_picture(record: Record, labels: Sequence[str], measured: Sequence[str]) -> Figure:
     """Return the sample path and what was measured, a row for each component."""
-    count = len(labels) + len(measured)
+    count, t = len(labels) + len(measured), record.stamps_ns * _NANO
     with styled():
-        figure = framed(9.0, 0.3 + 1.5 * count, 0.0)
+        figure = framed(9.0, 0.3 + 1.6 * count, 0.0)
         rows = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
-        t = record.stamps_ns * _NANO
         for ax, label, values in zip(rows, labels, record.truth.T):
             ax.plot(t, values, color=INK, lw=0.9)
             ax.set_ylabel(label)
         for ax, label, values in zip(rows[len(labels):], measured, record.measured.T):
-            ax.plot(t, values, '.', color=BLUE, ms=2.0)
+            joined = {'lw': 0.9} if record.origin is not None else {'ls': '', 'marker': '.'}
+            ax.plot(t, values, color=BLUE, ms=2.5, **joined)
             ax.set_ylabel(label)
-        _over_time(rows, t)
+        _over_time(rows)
     return figure
 
 
-def band_picture(truth: Array, stamps_ns: NDArray[np.int64], tracks: Mapping[str, Track],
-                 labels: Sequence[str], limits: Sequence[tuple[float, float]]) -> Figure:
+def band_picture(record: Record, truth: Array, tracks: Mapping[str, Track], labels: Sequence[str],
+                 limits: Sequence[tuple[float, float]]) -> Figure:
     """Return means with their 1 and 2 sigma bands over the truth, a row for each track."""
+    wide = len(labels) > 1
     with styled():
-        figure = framed(4.6 * len(labels) if len(labels) > 1 else 9.0, 0.7 + 1.8 * len(tracks))
+        figure = framed(4.7 * len(labels) if wide else 9.0, 0.8 + 1.9 * len(tracks))
         axes = figure.subplots(len(tracks), len(labels), sharex=True, sharey='col', squeeze=False)
-        t = stamps_ns * _NANO
         for row, (name, track) in zip(axes, tracks.items()):
             for i, ax in enumerate(row):
-                _bands(ax, t, track.means[:, i], np.sqrt(track.variances[:, i]), truth[:, i])
+                t = record.stamps_ns[track.chosen] * _NANO
+                _bands(ax, t, track.means[:, i], np.sqrt(track.variances[:, i]))
+                ax.plot(record.stamps_ns * _NANO, truth[:, i], color=INK, lw=0.9, label='truth')
                 ax.set(ylabel=labels[i], ylim=limits[i])
             row[0].set_title(name)
         for column in axes.T:
-            _over_time(column, t)
+            _over_time(column)
         legend_on_top(figure, axes[0, 0], 4)
     return figure
 
 
-def intensity_picture(record: Record, films: Mapping[str, Array], grid: Grid, axis: int,
-                      label: str, every: int = 1) -> Figure:
-    """Return densities over time, the darker the denser, with the truth on them."""
+def intensity_picture(record: Record, films: Mapping[str, tuple[Array, Grid, int]], label: str,
+                      limits: tuple[float, float], every: int = 1) -> Figure:
+    """
+    Return densities over time, the brighter the denser, with the truth on them.
+
+    films: by title the densities (k, cells) of a state, after every so many measurements, the
+    grid whose axis they are on, and which axis.
+    """
     t = record.stamps_ns * _NANO
     with styled():
-        figure = framed(9.0, 0.6 + 2.6 * len(films))
+        figure = framed(9.0, 0.8 + 2.6 * len(films))
         rows = figure.subplots(len(films), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-        for ax, (title, film) in zip(rows, films.items()):
-            peak = film.max(axis=1, keepdims=True)
+        for ax, (title, (film, grid, axis)) in zip(rows, films.items()):
+            peak, span = film.max(axis=1, keepdims=True), every * (t[1] - t[0])
             image = ax.imshow(
                 np.maximum(film / peak, _FLOOR).T, origin='lower', aspect='auto', cmap='magma',
                 norm=LogNorm(_FLOOR, 1.0), interpolation='nearest',
-                extent=(t[0], t[-1] + t[0], grid.lower[axis], grid.upper[axis]))
-            ax.plot(t, record.truth[:, axis], color=SKY, lw=1.0, label='truth')
-            ax.set(title=title, ylabel=label)
-        rows[-1].set_xlabel('time [s]')
+                extent=(t[0], t[0] + span * len(film), grid.lower[axis], grid.upper[axis]))
+            ax.plot(t, record.truth[:, axis], color=SKY, lw=1.1, label='truth')
+            ax.set(title=title, ylabel=label, ylim=limits)
+        rows[-1].set(xlabel='time [s]', xlim=(t[0], t[-1]))
         bar = figure.colorbar(image, ax=rows, aspect=36, pad=0.01, ticks=[1e-3, 1e-2, 1e-1, 1.0])
         bar.ax.set_yticklabels(['1/1000', '1/100', '1/10', '1'])
         bar.minorticks_off()
@@ -107,56 +108,75 @@ def intensity_picture(record: Record, films: Mapping[str, Array], grid: Grid, ax
     return figure
 
 
-def marginal_picture(curves: Mapping[str, Array], grid: Grid, axis: int, label: str, title: str,
-                     truth: float) -> Figure:
-    """Return marginal densities at one moment, and where the truth is."""
+def marginal_picture(panels: Mapping[str, tuple[Mapping[str, tuple[Array, Array]], float]],
+                     label: str) -> Figure:
+    """
+    Return marginal densities at one moment, a panel side by side for each title.
+
+    A panel: curves by name, coordinates and density, and where the truth is.
+    """
     with styled():
-        figure = framed(9.0, 3.6, 0.55)
-        ax = figure.subplots()
-        for (name, p), colour in zip(curves.items(), _LINES):
-            ax.plot(grid.axes[axis], p, color=colour, lw=1.6, label=name)
-        ax.axvline(truth, color=INK, lw=1.0, ls=(0, (2, 2)), label='truth')
-        ax.set(title=title, xlabel=label, ylabel='density', ylim=(0, None))
-        ax.margins(x=0)
-        open_sides(ax)
-        legend_on_top(figure, ax, 3)
+        figure = framed(4.6 * max(len(panels), 2), 3.9, 0.6)
+        axes = figure.subplots(1, len(panels), squeeze=False)[0]
+        for ax, (title, (curves, truth)) in zip(axes, panels.items()):
+            for (name, (x, p)), colour in zip(curves.items(), _LINES):
+                ax.plot(x, p, color=colour, lw=1.6, label=name)
+            ax.axvline(truth, color=INK, lw=1.0, ls=(0, (2, 2)), label='truth')
+            ax.set(title=title, xlabel=label, ylabel='density', ylim=(0, None))
+            ax.margins(x=0)
+            open_sides(ax)
+        legend_on_top(figure, axes[0], 3)
     return figure
 
 
 def cloud_picture(record: Record, clouds: Mapping[str, Array], axis: int, label: str,
                   every: int = 1) -> Figure:
-    """Return particles (K, n, N) over time, a row for each cloud, with the truth on them."""
+    """Return particles (k, n, N) over time, a row for each cloud, with the truth on them."""
     t = record.stamps_ns * _NANO
     with styled():
-        figure = framed(9.0, 0.6 + 2.4 * len(clouds))
+        figure = framed(9.0, 0.8 + 2.4 * len(clouds))
         rows = figure.subplots(len(clouds), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         for ax, (title, cloud) in zip(rows, clouds.items()):
             at = np.repeat(t[::every], cloud.shape[2])
-            ax.plot(at, cloud[:, axis].ravel(), ',', color=BLUE, alpha=0.35, rasterized=True)
-            ax.plot([], [], 'o', ms=3, color=BLUE, label='particles')
-            ax.plot(t, record.truth[:, axis], color=VERMILION, lw=1.0, label='truth')
+            ax.plot(at, cloud[:, axis].ravel(), 'o', ms=1.2, mew=0, color=BLUE, alpha=0.25,
+                    rasterized=True)
+            ax.plot([], [], 'o', ms=4, mew=0, color=BLUE, label='particles')
+            ax.plot(t, record.truth[:, axis], color=VERMILION, lw=1.1, label='truth')
             ax.set(title=title, ylabel=label)
-        _over_time(rows, t)
+        _over_time(rows)
         legend_on_top(figure, rows[0], 2)
     return figure
 
 
-def _bands(ax: Axes, t: Array, mean: Array, sigma: Array, truth: Array) -> None:
+def _transitions(ax: Axes, found: Densities, name: str) -> None:
+    x, bins, truth = found.grid.axes[0], found.bins.axes[0], found.by_entry[found.truth]
+    p = found.by_entry[name]
+    for k, start in enumerate(found.starts):
+        legend = [None if k else text for text in (
+            'simulated paths', found.truth, 'path integral', "starting points x'")]
+        ax.fill_between(bins, found.simulated[k], step='mid', color=GREY, lw=0, label=legend[0])
+        for values, label, looks in (
+                (truth[k], legend[1], {'color': INK, 'lw': 0.9}),
+                (p[k], legend[2], {'color': BLUE, 'lw': 2.0, 'ls': (0, (4, 2))})):
+            ax.plot(x, np.where(_seen(values), values, np.nan), label=label, **looks)
+        ax.plot([start], [0.0], '^', color=VERMILION, ms=7, clip_on=False, zorder=5, ls='',
+                label=legend[3])
+
+
+def _bands(ax: Axes, t: Array, mean: Array, sigma: Array) -> None:
     ax.fill_between(t, mean - 2 * sigma, mean + 2 * sigma, color=SKY, alpha=0.35, lw=0,
                     label='2 sigma')
     ax.fill_between(t, mean - sigma, mean + sigma, color=BLUE, alpha=0.35, lw=0, label='1 sigma')
     ax.plot(t, mean, color=BLUE, lw=1.1, label='conditional mean')
-    ax.plot(t, truth, color=INK, lw=0.9, label='truth')
 
 
-def _over_time(rows: Sequence[Axes], t: Array) -> None:
+def _over_time(rows: Sequence[Axes]) -> None:
     for ax in rows:
         ax.margins(x=0)
         open_sides(ax)
     rows[-1].set_xlabel('time [s]')
 
 
-def _where(x: Array, found: Densities) -> tuple[float, float]:
-    """Return where there is a density to be seen."""
-    seen = np.flatnonzero(found.by_entry[REFERENCE.name].max(axis=0) > 1e-3)
-    return float(x[seen[0]]), float(x[seen[-1]])
+def _seen(p: Array) -> NDArray[np.bool_]:
+    """Return where a density is high enough to be seen."""
+    return np.asarray(p > _FLOOR * p.max())

@@ -16,6 +16,8 @@ from pif_ros.reproduction.study import COLUMNS
 
 PACKAGES = ('pif_ros', 'numpy', 'scipy', 'joblib', 'matplotlib')
 RESULTS, TABLE = 'results.json', 'table.md'
+#: Goes up with what a chapter holds.
+FORMAT = 1
 
 #: A chapter is what results.json of an example holds, a tree of plain values.
 Chapter = Mapping[str, Any]
@@ -27,14 +29,23 @@ def write(chapter: Chapter, folder: Path) -> None:
     (folder / TABLE).write_text(chapter_text(chapter))
 
 
+def read(folder: Path) -> Chapter | None:
+    """Return what an example's folder holds, None where it is nothing of this format."""
+    try:
+        chapter: Chapter = json.loads((folder / RESULTS).read_text())
+    except (OSError, ValueError):
+        return None
+    return chapter if chapter.get('format') == FORMAT else None
+
+
 def gather(folder: Path, names: Sequence[str]) -> str:
     """
     Write the table of all examples that are in a folder, and return it.
 
     Each of the names has a folder of its own in it once it has been run.
     """
-    found = [folder / name / RESULTS for name in names if (folder / name / RESULTS).exists()]
-    chapters = [json.loads(path.read_text()) for path in found]
+    found = (read(folder / name) for name in names)
+    chapters = [chapter for chapter in found if chapter is not None]
     text = '\n'.join([overview(chapters), *(
         chapter_text(chapter, f'{chapter["example"]}/') for chapter in chapters)])
     (folder / TABLE).write_text(text)
@@ -44,19 +55,19 @@ def gather(folder: Path, names: Sequence[str]) -> str:
 
 
 def overview(chapters: Sequence[Chapter]) -> str:
-    """Return a table of one line for each case that is scored against the truth."""
+    """Return a table of one line for each case."""
     lines = [['case', 'printed', 'ours, as printed', 'ours, best', 'SIR', 'EKF', 'UKF', 'optimum',
               '1 and 2 sigma, best (optimum)', 'step, best', 'seeds']]
     for chapter in chapters:
         for case in chapter['cases']:
             rows = {row['role']: row for row in reversed(case['rows'])}
-            if 'rmse' in case['rows'][0]['figures']:
-                lines.append(_line(case, rows))
+            lines.append(_line(case, rows))
     made = {chapter['made']['command'] for chapter in chapters}
     return '\n'.join([
         '# The examples of the papers\n', _table(lines),
-        'Root mean square errors: mean and its standard error over the seeds; med., the median. '
-        'Everything of a case is on the same data.\n', *(f'- `{command}`' for command in made), ''])
+        'Errors: mean and its standard error over the seeds; med., the median. They are root mean '
+        'squares, of each component, and for tm-1 to tm-3 L1 distances of transition densities. '
+        'All filters of a case have the same data.\n', *(f'- `{command}`' for command in made), ''])
 
 
 def chapter_text(chapter: Chapter, folder: str = '') -> str:
@@ -77,13 +88,17 @@ def circumstances(command: str) -> dict[str, str]:
 
 
 def _case_text(case: Mapping[str, Any]) -> str:
-    scores = list(dict.fromkeys(name for row in case['rows'] for name in row['figures']))
+    found = list(dict.fromkeys(name for row in case['rows'] for name in row['figures']))
+    scores = [*(name for name in COLUMNS if name in found),
+              *(name for name in found if name not in COLUMNS)]
     lines = [['', 'settings', *(COLUMNS.get(name, name) for name in scores)]]
     lines += [[row['entry'] + _lost(row), row['setting'],
                *(_figure(name, row['figures'].get(name), case['median']) for name in scores)]
               for row in case['rows']]
-    held = [f'- {"held" if h["met"] else "NOT held"}: {h["what"]}: {_bounds(h)}, got '
-            f'{_number(h["got"])}' for h in case['held']]
+    met = sum(h['met'] for h in case['held'])
+    held = [f'Held: {met} of {len(case["held"])} figures are what they are to be.', *(
+        f'- NOT held: {h["what"]}: {_bounds(h)}, got {_number(h["got"])}'
+        for h in case['held'] if not h['met'])] if case['held'] else []
     seeds = case['rows'][0]['seeds']
     return '\n'.join([
         f'### {case["name"]}: {case["title"]}\n', f'Printed: {case["printed"]}\n', _table(lines),
@@ -93,20 +108,21 @@ def _case_text(case: Mapping[str, Any]) -> str:
 
 def _line(case: Mapping[str, Any], rows: Mapping[str, Any]) -> list[str]:
     """Return the line of a case in the overview, from the first row of each role."""
+    first = case['rows'][0]
+    score = 'rmse' if 'rmse' in first['figures'] else 'L1'
+
     def error(role: str) -> str:
         row = rows.get(role)
-        return '' if row is None else _figure('rmse', row['figures']['rmse'], True) + _lost(row)
+        return '' if row is None else _figure(score, row['figures'][score], True) + _lost(row)
 
     def share(role: str, score: str) -> str:
-        return _number(rows[role]['figures'][score]['mean']) if role in rows else ''
+        return _number(rows[role]['figures'][score]['mean'])
 
-    covered = ', '.join(f'{share("best", score)} ({share("optimum", score)})'
-                        for score in ('coverage_1', 'coverage_2'))
-    first = case['rows'][0]
+    covered = ', '.join(f'{share("best", part)} ({share("optimum", part)})'
+                        for part in ('coverage_1', 'coverage_2') if part in first['figures'])
     return [case['name'], case['printed'],
             *(error(role) for role in ('printed', 'best', 'sir', 'ekf', 'ukf', 'optimum')),
-            covered, _figure('step_s', rows['best']['figures']['step_s'], False)
-            if 'best' in rows else '', f'{first["seeds"][0]} to {first["seeds"][-1]}']
+            covered, _figure('step_s', rows['best']['figures'].get('step_s'), False), f'{first["seeds"][0]} to {first["seeds"][-1]}']
 
 
 def _figure(score: str, figure: Mapping[str, Any] | None, median: bool) -> str:
@@ -115,8 +131,10 @@ def _figure(score: str, figure: Mapping[str, Any] | None, median: bool) -> str:
         return ''
     if score == 'step_s':
         return _duration(figure['median'])
+    if score == 'start_s':
+        return _duration(max(figure['values']))
     error = figure['standard_error']
-    text = _number(figure['mean']) + (f' ± {_number(error)}' if error else '')
+    text = _number(figure['mean']) + (f' ± {_number(error)}' if error and error >= 5e-5 else '')
     return text + (f', med. {_number(figure["median"])}'
                    if median and score in ('rmse', 'to_optimum') else '')
 
@@ -143,7 +161,10 @@ def _number(value: float | None) -> str:
     """Return three significant digits without an exponent."""
     if value is None:
         return 'none'
-    digits = 2 - int(np.floor(np.log10(abs(value)))) if value else 0
+    if abs(value) >= 1e5:
+        return f'{value:.1e}'
+    rounded = float(f'{value:.3g}')
+    digits = 2 - int(np.floor(np.log10(abs(rounded)))) if rounded else 0
     return f'{value:.{min(max(digits, 0), 4)}f}'
 
 

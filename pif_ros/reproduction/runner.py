@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from tempfile import TemporaryDirectory
 
 from joblib import delayed, Parallel, parallel_config
 from pif_ros.reproduction.catalogue import find, run
@@ -18,11 +19,13 @@ def outcomes(name: str, seeds: Sequence[int], quick: bool) -> list[list[Outcome]
     A seed of a case is one task for joblib, on the backend of the joblib.parallel_config around
     this, with a bar on a terminal.
     """
-    count = len(find(name).cases(quick))
-    tasks = [(case, seed) for case in range(count) for seed in seeds]
-    running = Parallel(return_as='generator')(
-        delayed(run)(name, case, seed, quick, seed == seeds[0]) for case, seed in tasks)
-    done = list(tqdm(running, desc=name, total=len(tasks), unit='seed', disable=None))
+    with TemporaryDirectory(prefix='pif_ros_reproduce_') as scratch:
+        count = len(find(name).cases(quick, scratch))
+        tasks = [(case, seed) for case in range(count) for seed in seeds]
+        running = Parallel(return_as='generator')(
+            delayed(run)(name, case, seed, quick, seed == seeds[0], scratch)
+            for case, seed in tasks)
+        done = list(tqdm(running, desc=name, total=len(tasks), unit='seed', disable=None))
     return [done[k * len(seeds):(k + 1) * len(seeds)] for k in range(count)]
 
 

@@ -9,11 +9,11 @@ from typing import Any, Protocol
 #: What a contender can be; a summary of a case takes the first of each.
 ROLES = ('printed', 'best', 'sir', 'ekf', 'ukf', 'optimum', '')
 
-#: The colums of the tables: what is measured for each seed, with how it is called there.
+#: The columns of the tables: what is measured for each seed, with how it is called there.
 COLUMNS = {
-    'rmse': 'rmse', 'to_optimum': 'to the optimum', 'coverage_1': '1 sigma',
-    'coverage_2': '2 sigma', 'log_evidence': 'log evidence', 'mass': 'mass kept',
-    'step_s': 'time per step'}
+    'rmse': 'rmse', 'to_optimum': 'to the optimum', 'to_best': 'to our best',
+    'coverage_1': 'in 1 sigma', 'coverage_2': 'in 2 sigma', 'log_evidence': 'log evidence',
+    'mass': 'mass', 'step_s': 'time per step', 'start_s': 'made in'}
 
 Scores = Mapping[str, float]
 
@@ -99,8 +99,12 @@ class Example(Protocol):
     SOURCE: str
 
     @staticmethod
-    def cases(quick: bool) -> Sequence[Case]:
-        """Return the cases; small ones, that show only that everything runs, if quick."""
+    def cases(quick: bool, scratch: str) -> Sequence[Case]:
+        """
+        Return the cases; small ones, that show only that everything runs, if quick.
+
+        scratch: a folder for what is made once and used again.
+        """
 
     @staticmethod
     def draw(exhibits: Mapping[str, Any]) -> Mapping[str, Any]:

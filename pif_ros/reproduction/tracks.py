@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -14,6 +14,7 @@ from pif_ros.core.tracker import CorrectionFailed, Measurement, Tracker
 from pif_ros.reproduction.records import Record
 
 Array = NDArray[np.float64]
+
 #: What a filter may raise for its numbers; anything else is a mistake, and ends the run.
 NUMERICAL = (ArithmeticError, np.linalg.LinAlgError)
 #: Returns means and variances (n,) of a belief.
@@ -31,29 +32,30 @@ class Reading:
 @dataclass(frozen=True, eq=False)
 class Track:
     """
-    What a filter believed after each of K measurements.
+    What a filter believed after some of K measurements.
 
-    means, variances: (K, n); masses (K,): what the prediction kept on the grid; seconds (K,): time
-    per measurement; log_evidence: its total; read: further readings by name, stacked; fault: why
-    it ended before its time, '' where it did not.
+    chosen (k,): which; means, variances: (k, n); masses (K,): what each prediction kept on the
+    grid; seconds (K,): time per measurement; log_evidence: its total; read: further readings by
+    name, stacked; fault: why it ended before its time, '' where it did not.
     """
 
+    chosen: NDArray[np.intp]
     means: Array
     variances: Array
     masses: Array
     seconds: Array
     log_evidence: float
-    read: Mapping[str, Array] = field(default_factory=dict)
+    read: Mapping[str, Array]
     fault: str = ''
 
 
 def follow(filter_: Filter[Any], prior: Any, record: Record, moments: Moments,
-           readings: Mapping[str, Reading]) -> Track:
+           readings: Mapping[str, Reading], every: int = 1) -> Track:
     """
     Return the track of a filter from a prior that holds at stamp 0.
 
-    Where the filter raises, or believes what is not finite, the track ends with NaN and its fault
-    says why.
+    every: of so many measurements the moments are read after the last.  Where the filter raises,
+    or believes what is not finite, the track ends with NaN and its fault says why.
     """
     K, n = record.truth.shape
     means, variances = np.full((K, n), np.nan), np.full((K, n), np.nan)
@@ -64,10 +66,11 @@ def follow(filter_: Filter[Any], prior: Any, record: Record, moments: Moments,
     if record.origin is not None:
         tracker.observe(Measurement(0, record.sensor, tuple(record.origin.tolist())))
         tracker.estimate()
+    chosen = np.arange(every - 1, K, every)
     for k, (stamp, y) in enumerate(zip(record.stamps_ns.tolist(), record.measured)):
         begin = perf_counter()
         try:
-            predicted = tracker.forecast(stamp).belief
+            masses[k] = tracker.forecast(stamp).belief.mass
             tracker.observe(Measurement(stamp, record.sensor, tuple(y.tolist())))
             estimate = tracker.estimate()
         except (CorrectionFailed, *NUMERICAL) as error:
@@ -76,15 +79,16 @@ def follow(filter_: Filter[Any], prior: Any, record: Record, moments: Moments,
             fault = str(error.__cause__ or error)
             break
         seconds[k] = perf_counter() - begin
-        means[k], variances[k] = moments(estimate.belief)
-        if not np.all(np.isfinite(means[k])):
-            fault = 'its mean is not finite'
-            break
-        masses[k], total = predicted.mass, estimate.total_log_evidence
+        if k % every == every - 1:
+            means[k], variances[k] = moments(estimate.belief)
+            if not np.all(np.isfinite(means[k])):
+                fault = 'its mean is not finite'
+                break
+        total = estimate.total_log_evidence
         for name, reading in readings.items():
             if k % reading.every == 0:
                 read[name].append(reading.read(estimate.belief))
-    return Track(means, variances, masses, seconds, total,
+    return Track(chosen, means[chosen], variances[chosen], masses, seconds, total,
                  {name: np.array(values) for name, values in read.items()}, fault)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 #: Cells of the Fokker-Planck reference within a cell of the formulas' grid.
 FINER = 4
 #: Euler steps of a simulated path.
-SUBSTEPS = 100
+SUBSTEPS = 50
 
-REFERENCE = Entry('Fokker-Planck equation', 'optimum', 'finite volumes, converged')
+L1 = 'L1'
 SIMULATION = 'L1 to simulation'
 MASS = 'mass'
 
@@ -44,15 +44,28 @@ class Setting:
     steps: int
     filtered: bool = False
 
+    def entry(self, seconds: float) -> Entry:
+        """Return the line of the table for so many seconds."""
+        return Entry(self.name, self.role, f'steps of {seconds / self.steps:g} s')
+
     @property
-    def entry(self) -> Entry:
-        """Return the line of the table."""
-        who = 'filter' if self.filtered else 'formula'
+    def name(self) -> str:
+        """Return what it is called."""
         how = {'exponential': 'exp(-r eps div f)', 'determinant': 'det(1 - r eps df/dx)'}
         jacobian = '' if self.r == 0 else f', {how[self.jacobian]}'
         count = 'one step' if self.steps == 1 else f'{self.steps} steps'
-        text = f'r = {self.r:g}{jacobian}, {count}'
-        return Entry(f'{who}, {text}', self.role, text)
+        return f'{"filter" if self.filtered else "formula"}, r = {self.r:g}{jacobian}, {count}'
+
+
+#: Returns the density of a model on a grid so many seconds after each of some points, (S, size).
+Reference = Callable[[StateModel, Grid, Sequence[float], float], Array]
+
+
+def converged(model: StateModel, grid: Grid, starts: Sequence[float], seconds: float) -> Array:
+    """Return the solution of the Fokker-Planck equation, found on a finer grid."""
+    fine = Grid(grid.lower, grid.upper, (FINER * grid.size,))
+    found = fokker_planck(model, fine, starts, seconds)
+    return found.reshape(len(starts), grid.size, FINER).mean(axis=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +73,8 @@ class Densities:
     """
     What the pictures of a transition case show.
 
-    bins: grid of the histograms; simulated: (S, bins.size); on grid: by entry, (S, grid.size).
+    bins: grid of the histograms; simulated: (S, bins.size); by_entry: on grid, (S, grid.size);
+    truth: which entry that is.
     """
 
     starts: Sequence[float]
@@ -68,6 +82,7 @@ class Densities:
     bins: Grid
     simulated: Array
     by_entry: Mapping[str, Array]
+    truth: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +91,7 @@ class TransitionCase:
     Where a scalar process is some seconds after it was at each of some points.
 
     grid: of the formulas, whose number of cells is a multiple of bins, the cells of the histogram
-    of so many simulated paths.
+    of so many simulated paths; truth: what they are held against, and how it is called.
     """
 
     name: str
@@ -89,6 +104,7 @@ class TransitionCase:
     bins: int
     paths: int
     settings: Sequence[Setting]
+    truth: tuple[str, Reference] = ('Fokker-Planck equation', converged)
     expected: Sequence[Expected] = ()
     remarks: Sequence[str] = ()
     median: bool = False
@@ -96,7 +112,8 @@ class TransitionCase:
     @property
     def entries(self) -> Sequence[Entry]:
         """Return the lines of the table."""
-        return (*(setting.entry for setting in self.settings), REFERENCE)
+        return (*(setting.entry(self.seconds) for setting in self.settings),
+                Entry(self.truth[0], 'optimum', ''))
 
     def run(self, seed: int, keep: bool) -> Outcome:
         """Return the distances to the reference and to the histogram of this seed's paths."""
@@ -104,15 +121,15 @@ class TransitionCase:
         simulated = self._simulated(np.random.default_rng(seed), bins)
         scores = {name: self._scores(p, simulated, bins) for name, p in self._densities.items()}
         return Outcome(scores, Densities(self.starts, self.grid, bins, simulated,
-                                         self._densities) if keep else None)
+                                         self._densities, self.truth[0]) if keep else None)
 
     def _scores(self, p: Array, simulated: Array, bins: Grid) -> dict[str, float]:
-        dx, reference = self.grid.cell_volume, self._densities[REFERENCE.name]
+        dx, reference = self.grid.cell_volume, self._densities[self.truth[0]]
         binned = p.reshape(len(p), self.bins, -1).mean(axis=2)
         masses = p.sum(axis=1) * dx
         l1 = np.abs(p - reference).sum(axis=1) * dx
         apart = np.abs(binned - simulated).sum(axis=1) * bins.cell_volume
-        return {**{l1_from(x): float(d) for x, d in zip(self.starts, l1)},
+        return {L1: float(l1.mean()), **{l1_from(x): float(d) for x, d in zip(self.starts, l1)},
                 SIMULATION: float(apart.mean()),
                 MASS: float(masses[np.argmax(np.abs(masses - 1))])}
 
@@ -126,12 +143,10 @@ class TransitionCase:
     @cached_property
     def _densities(self) -> Mapping[str, Array]:
         """Return the densities on the grid by entry, (S, grid.size); they hold for all seeds."""
-        fine = Grid(self.grid.lower, self.grid.upper, (FINER * self.grid.size,))
-        reference = fokker_planck(self.model, fine, self.starts, self.seconds)
-        found = {setting.entry.name: (self._predicted if setting.filtered else self._composed)(
-            setting) for setting in self.settings}
-        return {**found, REFERENCE.name: reference.reshape(
-            len(self.starts), self.grid.size, FINER).mean(axis=2)}
+        name, truth = self.truth
+        found = {setting.name: (self._predicted if setting.filtered else self._composed)(setting)
+                 for setting in self.settings}
+        return {**found, name: truth(self.model, self.grid, self.starts, self.seconds)}
 
     def _composed(self, setting: Setting) -> Array:
         """Return the formula's density composed with itself by quadrature  [TM, Eq. 9]."""

@@ -2,7 +2,9 @@
 
 import numpy as np
 from oracles import gaussian, linear_moments
-from pif_ros.core.continuous import DiracFeynmanYauFilter, ExtendedKalmanBucyFilter, SCHEMES
+from pif_ros.core.belief import GridBelief
+from pif_ros.core.continuous import (DiracFeynmanYauFilter, ExtendedKalmanBucyFilter, PathBelief,
+                                     SCHEMES)
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.models import Sensor, StateModel
@@ -160,6 +162,32 @@ def test_equals_the_kalman_filter_of_the_path_in_the_plane_at_irregular_stamps(s
     np.testing.assert_allclose(means, m, atol=tolerance)
     np.testing.assert_allclose(covariances, P, atol=tolerance)
     np.testing.assert_allclose(log_evidences, log_exact, atol=4 * tolerance)
+
+
+def test_multiplicative_noise_is_the_kalman_filter_of_the_logarithm():
+    # dx = x dv / 2, dy = log(x) dt + n dw: the logarithm falls by 1/8 a second, dv / 2
+    model = StateModel(('x',), lambda x, t: 0 * x, lambda x, t: x[None] / 2, multiplicative=True)
+    sensors = {'logarithm': Sensor(lambda x, t: np.log(x), [[0.05]])}
+    seconds, rng = np.full(10, 0.025), np.random.default_rng(8)
+    level = simulated(0 * ONE, ONE / 4, ONE, ONE / 20, [0.1], seconds, rng)
+    ends = np.cumsum(seconds)
+    fallen = np.diff(ends**2, prepend=0) / 16
+    m, P, log_exact = exact(0 * ONE, ONE / 4, ONE, ONE / 20, [0.0], ONE / 25, seconds, level)
+    filter_ = DiracFeynmanYauFilter(model, Grid((0.2,), (4,), (760,)), sensors,
+                                    KernelSettings(0.005, tolerance=1e-9))
+    x = filter_.grid.axes[0]
+    prior = GridBelief(filter_.grid, np.exp(-12.5 * np.log(x)**2) / x).normalised()
+    belief, _ = filter_.correct(PathBelief.before_the_path(prior), [0.0], 'logarithm', 0)
+    y = np.cumsum(level[:, 0] - fallen)
+    for k in range(10):
+        at_ns = round(SECOND * ends[k])
+        belief, log_evidence = filter_.correct(belief, y[k:k + 1], 'logarithm', at_ns)
+        w = belief.density / belief.density.sum()
+        mean = w @ np.log(x)
+        # of first order in the 0.005 s of the kernel, and second in the 0.025 s of the path
+        assert mean == pytest.approx(m[k, 0] - ends[k] / 8, abs=5e-4)
+        assert w @ (np.log(x) - mean)**2 == pytest.approx(P[k, 0, 0], abs=5e-4)
+        assert log_evidence == pytest.approx(log_exact[k], abs=1e-3)
 
 
 def test_extended_kalman_bucy_is_the_kalman_filter_of_the_path_at_any_stamps():

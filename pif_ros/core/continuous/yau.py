@@ -103,7 +103,8 @@ class YauSteps:
         w[w < NEGLIGIBLE] = 0.0
         moved = sparse.csr_array((w, K.indices, K.indptr), K.shape)
         if fraction < 1:
-            moved = (moved + sparse.diags_array(np.exp(log_stay - scale))).tocsr()
+            stay = np.exp(log_stay - scale)
+            moved = (moved + sparse.dia_array((stay[None], [0]), shape=K.shape)).tocsr()
         return moved, scale
 
     def _made(self, at_ns: int) -> tuple[sparse.csr_array, Indices, Array]:

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 LEAPS = 32
 #: Particles from which the first paths are drawn where the moves have none.
 FIRST_PARTICLES = 64
+TAIL = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,8 @@ def advanced(posterior: PathPosterior, settings: SamplerSettings, paths: Array, 
     changed, acceptance = np.full(paths.shape[1], np.nan), []
     if settings.particles:
         before = paths
-        paths = particles.renewed(posterior, before, paths.shape[2], settings.particles, rng)
+        start = int(rng.integers(paths.shape[1])) if rng.random() < TAIL else 0
+        paths = particles.renewed(posterior, before, settings.particles, rng, start)
         changed = np.any(paths != before, axis=0).mean(axis=1)
     for _ in range(settings.moves):
         # of random length, since one of fixed length may come back to where it began
@@ -70,8 +72,8 @@ def warmed_up(posterior: PathPosterior, settings: SamplerSettings, rng: Generato
     The preconditioner is averaged over chains and over the second quarter of the rounds; the step
     is adapted all along, and once more from there.  told: the number of rounds done.
     """
-    paths = particles.renewed(posterior, None, settings.chains,
-                              settings.particles or FIRST_PARTICLES, rng)
+    paths = particles.begun(posterior, settings.chains, settings.particles or FIRST_PARTICLES,
+                            rng)
     # leapfrog in d dimensions is stable for steps of order d^(-1/4)
     first = (paths.shape[0] * paths.shape[1])**-0.25
     tuning, since = Tuning(Precision(*posterior.curvature(paths)), first), 0

@@ -24,7 +24,7 @@ REFERENCE = {
 
 
 @cache
-def cases(quick: bool) -> list[TransitionCase]:
+def cases(quick: bool, scratch: str) -> list[TransitionCase]:
     """Return the one case."""
     return [TransitionCase(
         'tm-3', 'where a state is 0.2 s after it was at each of four points',
@@ -39,6 +39,6 @@ REMARK = ("The paper's list of starting points has -0.05 twice; +0.05 is taken f
 def draw(exhibits: Mapping[str, Densities]) -> dict[str, Figure]:
     """Return the densities at the printed setting, at r = 0, and at the best."""
     return {'transition_densities.png': transition_picture(exhibits['tm-3'], {
-        'r = 1/2, one step of 0.2 s, as printed': PRINTED.entry.name,
-        'r = 0, one step (Euler)': EULER.entry.name,
-        'r = 1/2 with the determinant, 8 steps, by the filter': BEST.entry.name})}
+        'r = 1/2, one step of 0.2 s, as printed': PRINTED.name,
+        'r = 0, one step (Euler)': EULER.name,
+        'r = 1/2 with the determinant, 8 steps, by the filter': BEST.name})}

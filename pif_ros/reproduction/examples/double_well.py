@@ -31,19 +31,19 @@ REFERENCE = {
 
 
 @cache
-def cases(quick: bool) -> list[TransitionCase]:
+def cases(quick: bool, scratch: str) -> list[TransitionCase]:
     """Return the one case."""
     return [TransitionCase(
         'tm-2', 'where a state is 0.1 s after it was at each of five points',
         'densities on top of 100,000 simulations (Figure 1), no number', double_well().model,
-        STARTS, 0.1, Grid((-1.2,), (1.2,), (1200,)), 120, 2_000 if quick else 100_000, SETTINGS,
+        STARTS, 0.1, Grid((-1.2,), (1.2,), (1200,)), 240, 2_000 if quick else 100_000, SETTINGS,
         expected(REFERENCE, STARTS), REMARKS)]
 
 
 def expected(reference: Mapping[Setting, tuple[float, ...]],
              starts: tuple[float, ...]) -> list[Expected]:
     """Return what the distances are to be, to the digits that are known."""
-    return [Expected(setting.entry.name, l1_from(x), value, 0.002, "a dense implementation's")
+    return [Expected(setting.name, l1_from(x), value, 0.002, "a dense implementation's")
             for setting, values in reference.items() for x, value in zip(starts, values)]
 
 
@@ -58,6 +58,6 @@ REMARKS = [
 def draw(exhibits: Mapping[str, Densities]) -> dict[str, Figure]:
     """Return the densities at the printed setting, at r = 0, and at the best."""
     return {'transition_densities.png': transition_picture(exhibits['tm-2'], {
-        'r = 1/2, one step of 0.1 s, as printed': PRINTED.entry.name,
-        'r = 0, one step (Euler)': EULER.entry.name,
-        'r = 1/2 with the determinant, 8 steps, by the filter': BEST.entry.name})}
+        'r = 1/2, one step of 0.1 s, as printed': PRINTED.name,
+        'r = 0, one step (Euler)': EULER.name,
+        'r = 1/2 with the determinant, 8 steps, by the filter': BEST.name})}
