@@ -57,7 +57,7 @@ def run(effort: Effort) -> Table:
         drawn, seconds = _timed(window)
         exact = window.exact() if window.exact else None
         rows.append(_row(window, drawn, seconds, exact))
-        if window.settings.particles:
+        if window.settings.particles or window.settings.temperatures > 1:
             goals.append(Goal(f'R-hat of {window.name}, {window.setting}', MIXED,
                               float(drawn.r_hat.max())))
         if exact is not None:
@@ -69,7 +69,7 @@ def run(effort: Effort) -> Table:
             goals.append(Goal(f'deviation of {window.name} from particle filters', HONEST,
                               _last_deviation(drawn, means)))
     return Table('Path integral Monte Carlo', rows, [
-        'median: one round of all chains, a particle move and Hamiltonian ones; of a particle '
+        'median: one round of all chains, with its particle moves, Hamiltonian moves and exchanges; of a particle '
         'filter, one step',
         'R-hat, ESS: the worst of all states at all stamps, rank-normalised, of split chains; of '
         'a particle filter, the posterior variance of a mean at the last stamp over that of '
@@ -195,10 +195,11 @@ def _ring(effort: Effort, r: float) -> Window:
     measured = _measured(model, sensor, 'squares', mean, h, steps)
     posterior = PathPosterior(model, {'squares': sensor}, KernelSettings(h, r=r), mean,
                               covariance, measured, 0)
-    draws = 1000 if r == 0 else 200
+    draws = 2000 if r == 0 else 500
     return Window('ring of ten', f'{steps} steps of {h:g} s, r = {r:g}', posterior,
                   SamplerSettings(chains=4, draws=effort.scaled(draws, 50),
-                                  warm_up=effort.scaled(150, 40), particles=100, moves=2),
+                                  warm_up=effort.scaled(200, 40), particles=0, moves=2,
+                                  temperatures=8),
                   filtered=partial(_filtered, posterior, effort.scaled(PARTICLES)) if r == 0
                   else None)
 
@@ -211,11 +212,11 @@ def _filtered(posterior: PathPosterior, particles: int) -> tuple[Array, Array]:
                                  particles=particles, seed=seed)
         began, now = time.perf_counter(), 0
         belief = filter_.gaussian(posterior.mean, posterior.covariance)
-        for m in posterior.measurements:
+        for m in posterior.ordered:
             belief = filter_.predict(belief, now, m.stamp_ns)
             belief, _ = filter_.correct(belief, m.values, m.source, m.stamp_ns)
             now = m.stamp_ns
-        seconds.append((time.perf_counter() - began) / len(posterior.measurements))
+        seconds.append((time.perf_counter() - began) / len(posterior.ordered))
         means.append(belief.mean())
     return np.array(means), np.array(seconds)
 

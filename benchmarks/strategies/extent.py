@@ -8,8 +8,8 @@ from benchmarks.problem import box, SYSTEM, TIME_STEP
 from benchmarks.progress import Progress
 from benchmarks.reference import Referee
 from benchmarks.report import Row, Table
-from benchmarks.strategies.measures import (
-    carried, Density, exact_on_line, line, LINE_CELLS, products, start, to_exact)
+from benchmarks.strategies.measures import (carried, Density, exact_on_line, line, LINE_CELLS,
+                                            products, start, to_exact)
 from benchmarks.timing import Contestant, Effort, interleave
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import dirac_feynman, KernelSettings

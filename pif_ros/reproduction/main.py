@@ -26,10 +26,11 @@ def main(args: Sequence[str] | None = None) -> int:
         return 0
     try:
         _check(wanted, EXAMPLES)
-        with _backend(wanted):
-            return _run(wanted, list(EXAMPLES) if wanted.all else wanted.examples)
+        wanted.out.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError) as error:
         return failed(_NAME, str(error), 2)
+    with _backend(wanted):
+        return _run(wanted, list(EXAMPLES) if wanted.all else wanted.examples)
 
 
 def _run(wanted: argparse.Namespace, names: Sequence[str]) -> int:

@@ -7,9 +7,12 @@ from collections.abc import Mapping, Sequence
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.grid import Grid
+from pif_ros.core.path_monte_carlo import PathSample
+from pif_ros.core.smoothing import Smoothed
 from pif_ros.reproduction.looks import (BLUE, framed, GREEN, GREY, INK, legend_on_top, open_sides,
                                         ORANGE, SKY, styled, VERMILION)
 from pif_ros.reproduction.records import Record
@@ -58,9 +61,10 @@ def path_picture(record: Record, labels: Sequence[str], measured: Sequence[str])
     return figure
 
 
-def band_picture(record: Record, truth: Array, tracks: Mapping[str, Track], labels: Sequence[str],
-                 limits: Sequence[tuple[float, float]]) -> Figure:
+def band_picture(record: Record, truth: Array, tracks: Mapping[str, Track],
+                 labels: Sequence[str]) -> Figure:
     """Return means with their 1 and 2 sigma bands over the truth, a row for each track."""
+    margin, low, high = 0.5 * np.ptp(truth, axis=0), truth.min(axis=0), truth.max(axis=0)
     wide = len(labels) > 1
     with styled():
         figure = framed(4.7 * len(labels) if wide else 9.0, 0.8 + 1.9 * len(tracks))
@@ -70,7 +74,7 @@ def band_picture(record: Record, truth: Array, tracks: Mapping[str, Track], labe
                 t = record.stamps_ns[track.chosen] * _NANO
                 _bands(ax, t, track.means[:, i], np.sqrt(track.variances[:, i]))
                 ax.plot(record.stamps_ns * _NANO, truth[:, i], color=INK, lw=0.9, label='truth')
-                ax.set(ylabel=labels[i], ylim=limits[i])
+                ax.set(ylabel=labels[i], ylim=(low[i] - margin[i], high[i] + margin[i]))
             row[0].set_title(name)
         for column in axes.T:
             _over_time(column)
@@ -96,7 +100,8 @@ def intensity_picture(record: Record, films: Mapping[str, tuple[Array, Grid, int
                 np.maximum(film / peak, _FLOOR).T, origin='lower', aspect='auto', cmap='magma',
                 norm=LogNorm(_FLOOR, 1.0), interpolation='nearest',
                 extent=(t[0], t[0] + span * len(film), grid.lower[axis], grid.upper[axis]))
-            ax.plot(t, record.truth[:, axis], color=SKY, lw=1.1, label='truth')
+            ax.plot(t, record.truth[:, axis], color=SKY, lw=1.3, label='truth',
+                    path_effects=[withStroke(linewidth=2.6, foreground='black')])
             ax.set(title=title, ylabel=label, ylim=limits)
         rows[-1].set(xlabel='time [s]', xlim=(t[0], t[-1]))
         bar = figure.colorbar(image, ax=rows, aspect=36, pad=0.01, ticks=[1e-3, 1e-2, 1e-1, 1.0])
@@ -145,6 +150,36 @@ def cloud_picture(record: Record, clouds: Mapping[str, Array], axis: int, label:
             ax.set(title=title, ylabel=label)
         _over_time(rows)
         legend_on_top(figure, rows[0], 2)
+    return figure
+
+
+def paths_picture(record: Record, smoothed: Smoothed, drawn: PathSample, grid: Grid) -> Figure:
+    """Return some paths over the smoothed density of the first state, and its marginal halfway."""
+    t, middle = np.array(drawn.stamps_ns) * _NANO, len(drawn.stamps_ns) // 2
+    cells, edges = grid.select([0]), np.append(grid.axes[0], grid.upper[0]) - grid.spacing[0] / 2
+    film = np.array([belief.on(cells, [0]).density for belief in smoothed.beliefs])
+    counted = drawn.marginal(drawn.stamps_ns[middle], Grid(
+        cells.lower, cells.upper, (cells.shape[0] // 4,)), [0])
+    with styled():
+        figure = framed(9.0, 3.6)
+        left, right = figure.subplots(1, 2, width_ratios=[3, 1], sharey=True)
+        left.pcolormesh(t, edges[:-1] + grid.spacing[0] / 2, film.T / film.max(), cmap='Greys',
+                        shading='nearest', rasterized=True)
+        for k, path in enumerate(drawn.paths[:, -1, :, 0]):
+            left.plot(t, path, color=BLUE, lw=0.7, alpha=0.7, label=None if k else 'paths drawn')
+        left.plot(t, np.append(record.start[0], record.truth[:, 0]), color=VERMILION, lw=1.4,
+                  label='truth')
+        left.plot([], [], 's', color=GREY, ms=8, label='density on the grid')
+        right.fill_betweenx(counted.grid.axes[0], counted.density, step='mid', color=SKY,
+                            alpha=0.5, lw=0, label='paths drawn')
+        right.plot(film[middle], grid.axes[0], color=INK, lw=1.0, label='grid')
+        shown = np.abs(drawn.paths[..., 0]).max() * 1.1
+        left.set(xlabel='time [s]', ylabel=drawn.names[0], ylim=(-shown, shown))
+        right.set(title=f't = {t[middle]:g} s', xlabel='density', xlim=(0, None))
+        right.legend(loc='lower right')
+        open_sides(left)
+        open_sides(right)
+        legend_on_top(figure, left, 3)
     return figure
 
 

@@ -57,17 +57,17 @@ def gather(folder: Path, names: Sequence[str]) -> str:
 def overview(chapters: Sequence[Chapter]) -> str:
     """Return a table of one line for each case."""
     lines = [['case', 'printed', 'ours, as printed', 'ours, best', 'SIR', 'EKF', 'UKF', 'optimum',
-              '1 and 2 sigma, best (optimum)', 'step, best', 'seeds']]
+              '1 and 2 sigma, best (optimum)', 'step, best', 'command']]
     for chapter in chapters:
         for case in chapter['cases']:
             rows = {row['role']: row for row in reversed(case['rows'])}
             lines.append(_line(case, rows))
-    made = {chapter['made']['command'] for chapter in chapters}
     return '\n'.join([
         '# The examples of the papers\n', _table(lines),
         'Errors: mean and its standard error over the seeds; med., the median. They are root mean '
         'squares, of each component, and for tm-1 to tm-3 L1 distances of transition densities. '
-        'All filters of a case have the same data.\n', *(f'- `{command}`' for command in made), ''])
+        'All filters of a case have the same data.  A command of N seeds takes those from 0 to N - 1.'
+        '\n'])
 
 
 def chapter_text(chapter: Chapter, folder: str = '') -> str:
@@ -113,7 +113,8 @@ def _line(case: Mapping[str, Any], rows: Mapping[str, Any]) -> list[str]:
 
     def error(role: str) -> str:
         row = rows.get(role)
-        return '' if row is None else _figure(score, row['figures'][score], True) + _lost(row)
+        return '' if row is None else _figure(score, row['figures'][score],
+                                               case['median']) + _lost(row)
 
     def share(role: str, score: str) -> str:
         return _number(rows[role]['figures'][score]['mean'])
@@ -122,7 +123,7 @@ def _line(case: Mapping[str, Any], rows: Mapping[str, Any]) -> list[str]:
                         for part in ('coverage_1', 'coverage_2') if part in first['figures'])
     return [case['name'], case['printed'],
             *(error(role) for role in ('printed', 'best', 'sir', 'ekf', 'ukf', 'optimum')),
-            covered, _figure('step_s', rows['best']['figures'].get('step_s'), False), f'{first["seeds"][0]} to {first["seeds"][-1]}']
+            covered, _figure('step_s', rows['best']['figures'].get('step_s'), False), f'`{first["command"].replace("ros2 run pif_ros ", "").replace(" --out DIR", "")}`']
 
 
 def _figure(score: str, figure: Mapping[str, Any] | None, median: bool) -> str:

@@ -57,7 +57,7 @@ def sine_cubic():
     return Problem(system, Grid((-7,), (7,), (280,)),
                    KernelSettings(0.02, tolerance=1e-10), ([0.5], [[1.0]]),
                    window(system, 5, 25, 0.02, [1.0]),
-                   SamplerSettings(chains=8, draws=250, warm_up=50, particles=100))
+                   SamplerSettings(chains=4, draws=300, warm_up=40, particles=150))
 
 
 @cache
@@ -67,7 +67,7 @@ def coupled():
     return Problem(system, Grid((-5.5, -5.5), (5.5, 5.5), (100, 100)),
                    KernelSettings(0.05, tolerance=1e-8), ([0.5, 0.0], np.eye(2)),
                    window(system, 8, 20, 0.05, [1.2, -0.8]),
-                   SamplerSettings(chains=4, draws=300, warm_up=40, particles=256))
+                   SamplerSettings(chains=4, draws=250, warm_up=40, particles=200))
 
 
 PROBLEMS = pytest.mark.parametrize('problem', [sine_cubic, coupled])
@@ -112,6 +112,17 @@ def test_chains_agree_though_the_posterior_has_humps_with_gaps_between(problem):
     assert np.all((0.05 < positive[5]) & (positive[5] < 0.95))
     assert drawn.r_hat.max() < 1.05
     assert drawn.effective_sample_size.min() > 150
+
+
+def test_temperatures_change_humps_too():
+    settings = SamplerSettings(chains=4, draws=300, warm_up=100, particles=0, moves=2,
+                               temperatures=8)
+    drawn = sample(coupled().posterior, settings, seed=3)
+    assert drawn.r_hat.max() < 1.1
+    assert drawn.exchange.shape == (7,) and np.all(drawn.exchange > 0.2)
+    for function in (lambda x: x, np.square):
+        found, exact = drawn.average(function), coupled().exact(function)
+        assert np.abs((found.mean - exact) / found.standard_error).max() < SIGMAS
 
 
 def test_gradients_alone_do_not_change_humps():
@@ -165,8 +176,8 @@ def test_ten_coupled_states_of_which_five_squares_are_seen_agree_with_a_large_pa
     # r = 0, as the particle filter's Euler steps are
     drawn = sample(PathPosterior(RING, {'s': EVERY_OTHER}, KernelSettings(h, r=0.0), mean,
                                  covariance, measured, 0),
-                   SamplerSettings(chains=4, draws=300, warm_up=60, particles=50, moves=2))
-    assert drawn.paths.shape == (4, 300, steps + 1, 10)
+                   SamplerSettings(chains=4, draws=250, warm_up=60, particles=0, moves=2))
+    assert drawn.paths.shape == (4, 250, steps + 1, 10)
     assert drawn.r_hat.max() < 1.02
     assert drawn.effective_sample_size.min() > 500
 
@@ -232,6 +243,9 @@ def test_a_window_without_a_step_is_only_bayes_rule():
     ({'particles': 1}, 'particles: expected 2 or more, or 0 with moves, got 1 with 1 moves'),
     ({'particles': 0, 'moves': 0}, 'particles: expected 2 or more, or 0 with moves, got 0 with 0 '
                                    'moves'),
+    ({'moves': 0, 'temperatures': 3}, 'moves: expected 1 or more where there are temperatures, '
+                                      'got 0'),
+    ({'least_share': 1.0}, 'least_share: expected a share, 0 to below 1, got 1.0'),
     ({'travel': float('nan')}, 'travel: expected a positive number, got nan'),
 ])
 def test_refuses_settings_that_draw_nothing(changes, line):

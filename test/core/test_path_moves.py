@@ -3,8 +3,8 @@
 import numpy as np
 from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.models import Sensor, StateModel
-from pif_ros.core.path_monte_carlo import hamiltonian, particles, PathPosterior
-from pif_ros.core.path_monte_carlo.hamiltonian import Precision
+from pif_ros.core.path_monte_carlo import hamiltonian, particles, PathPosterior, tempering
+from pif_ros.core.path_monte_carlo.hamiltonian import Precision, Tuning
 import pytest
 
 MS = 1_000_000
@@ -24,8 +24,12 @@ def posterior_of(r, changing=False):
                          KernelSettings(0.1, r=r), MEAN, COVARIANCE, MEASURED, 0)
 
 
-def exact(posterior, changing=False):
-    """Return mean (n (N + 1),) and covariance of the path, by least squares, state by state."""
+def exact(posterior, changing=False, share=1.0):
+    """
+    Return mean (n (N + 1),) and covariance of the path, by least squares, state by state.
+
+    share: of the log likelihood, as that of a noise of R / share.
+    """
     t, r = np.array(posterior.stamps_ns) / 1e9, posterior.kernel.r
     length = len(t)
     rows, wanted = [np.eye(2, 2 * length)], [MEAN]
@@ -40,7 +44,7 @@ def exact(posterior, changing=False):
     for stamp, _, y in MEASURED:
         k, row = posterior.stamps_ns.index(stamp), np.zeros((1, 2 * length))
         row[:, 2 * k:2 * k + 2] = H
-        rows, wanted, noises = rows + [row], wanted + [y], noises + [R]
+        rows, wanted, noises = rows + [row], wanted + [y], noises + [R / share]
     precision = sum(a.T @ np.linalg.solve(S, a) for a, S in zip(rows, noises))
     covariance = np.linalg.inv(precision)
     return covariance @ sum(a.T @ np.linalg.solve(S, b)
@@ -65,6 +69,10 @@ def assert_distributed(paths, mean, covariance):
     assert (np.abs(errors) / np.sqrt(1 + np.eye(len(mean)))).max() < 4.5
 
 
+def tuned(mass, step):
+    return Tuning(np.ones(1), (mass,), np.array([step]))
+
+
 WAYS = pytest.mark.parametrize('r, changing', [(0.0, False), (0.5, False), (1.0, True)])
 
 
@@ -80,23 +88,28 @@ def test_particle_moves_of_few_particles_leave_the_posterior_as_it_is(
     mean, covariance = exact(posterior, changing)
     paths = before = drawn(mean, covariance, 8000, rng)
     for _ in range(15):
-        paths = particles.renewed(posterior, paths, paths.shape[2], count, rng)
+        paths = particles.renewed(posterior, paths, count, rng)
     assert_distributed(before, mean, covariance)
     assert_distributed(paths, mean, covariance)
     assert np.mean(np.any(paths != before, axis=0), axis=1).min() > 0.5
 
 
 @WAYS
-def test_hamiltonian_moves_leave_the_posterior_as_it_is(r, changing):
-    # far too long a step and a crude preconditioner: a fair share is rejected, and rightly so
+def test_hamiltonian_moves_leave_each_share_of_the_likelihood_as_it_is(r, changing):
+    # far too long a step and crude preconditioners: a fair part is rejected, and rightly so
     posterior, rng = posterior_of(r, changing), np.random.default_rng(1)
-    mean, covariance = exact(posterior, changing)
-    before = drawn(mean, covariance, 12_000, rng)
-    diagonal, below = posterior.curvature(before)
-    crude = Precision(diagonal * np.array([[2.0, 0.3], [0.3, 0.7]]), below * 0.5)
-    moved = hamiltonian.move(posterior, before, crude, 1.0, 3, rng)
-    assert 0.2 < moved.acceptance.mean() < 0.8
-    assert_distributed(moved.paths, mean, covariance)
+    shares = np.array([1.0, 0.2])
+    laws = [exact(posterior, changing, share) for share in shares]
+    before = np.concatenate([drawn(*law, 8000, rng) for law in laws], axis=2)
+    masses = []
+    for share in shares:
+        diagonal, below = posterior.curvature(before, share)
+        masses.append(Precision(diagonal * np.array([[2.0, 0.3], [0.3, 0.7]]), below * 0.5))
+    tuning = Tuning(shares, tuple(masses), np.array([1.0, 1.2]))
+    moved = hamiltonian.move(posterior, before, tuning, 3, rng)
+    for part, law in zip((slice(8000), slice(8000, None)), laws):
+        assert 0.2 < moved.acceptance[part].mean() < 0.8
+        assert_distributed(moved.paths[..., part], *law)
 
 
 def test_small_steps_keep_the_energy_and_are_accepted():
@@ -104,7 +117,7 @@ def test_small_steps_keep_the_energy_and_are_accepted():
     mean, covariance = exact(posterior)
     before = drawn(mean, covariance, 200, rng)
     mass = Precision(*posterior.curvature(before))
-    lost = [1 - hamiltonian.move(posterior, before, mass, step, round(2 / step),
+    lost = [1 - hamiltonian.move(posterior, before, tuned(mass, step), round(2 / step),
                                  np.random.default_rng(3)).acceptance.mean()
             for step in (0.4, 0.2, 0.1)]
     # the leapfrog's energy error is of second order in its step
@@ -117,7 +130,7 @@ def test_a_path_that_flies_away_is_not_accepted():
     posterior, rng = posterior_of(0.5), np.random.default_rng(2)
     before = drawn(*exact(posterior), 10, rng)
     mass = Precision(*posterior.curvature(before))
-    moved = hamiltonian.move(posterior, before, mass, 1e200, 5, rng)
+    moved = hamiltonian.move(posterior, before, tuned(mass, 1e200), 5, rng)
     np.testing.assert_array_equal(moved.paths, before)
     np.testing.assert_array_equal(moved.acceptance, 0)
 
@@ -125,10 +138,10 @@ def test_a_path_that_flies_away_is_not_accepted():
 def test_a_filter_without_a_path_to_hold_gives_nearly_the_posterior():
     posterior, rng = posterior_of(0.5), np.random.default_rng(7)
     mean, covariance = exact(posterior)
-    paths = particles.renewed(posterior, None, 500, 300, rng)
+    paths = particles.begun(posterior, 500, 100, rng)
     flat = paths.transpose(1, 0, 2).reshape(len(mean), -1)
     spread = np.sqrt(np.diag(covariance))
-    # 1 / sqrt(500) of a standard deviation by chance, and 1 / 300 of bias
+    # 1 / sqrt(500) of a standard deviation by chance, and 1 / 100 of bias
     assert np.abs((flat.mean(axis=1) - mean) / spread).max() < 0.2
     assert np.abs(flat.std(axis=1) / spread - 1).max() < 0.2
 
@@ -140,9 +153,45 @@ def test_particles_that_all_fail_leave_the_path_where_it_is():
         {'s': Sensor(lambda x, t: np.where(x == 0.25, x, np.nan), [[1.0]])},
         KernelSettings(0.1), [0.0], [[1.0]], [(100 * MS, 's', [0.0]), (300 * MS, 's', [0.0])], 0)
     before = np.full((1, 4, 3), 0.25)
-    after = particles.renewed(posterior, before, 3, 10, np.random.default_rng(0))
+    after = particles.renewed(posterior, before, 10, np.random.default_rng(0))
     np.testing.assert_array_equal(after[:, 1], before[:, 1])
     np.testing.assert_array_equal(after[:, 3], before[:, 3])
+
+
+# Exchanges
+
+
+def test_exchanges_leave_each_share_of_the_likelihood_as_it_is():
+    posterior, rng = posterior_of(0.5), np.random.default_rng(4)
+    shares = np.array([1.0, 0.5, 0.2])
+    laws = [exact(posterior, share=share) for share in shares]
+    paths = np.concatenate([drawn(*law, 8000, rng) for law in laws], axis=2)
+    for number in range(4):
+        log_l = posterior.log_likelihood(paths).reshape(3, -1)
+        swap = tempering.exchange(log_l, shares, bool(number % 2), rng)
+        paths = paths[..., (swap.order * 8000 + np.arange(8000)).ravel()]
+        assert np.flatnonzero(np.isfinite(swap.acceptance)).tolist() == [number % 2]
+        assert 0.2 < np.nanmean(swap.acceptance) < 0.98
+    for group, law in zip(np.split(paths, 3, axis=2), laws):
+        assert_distributed(group, *law)
+
+
+def test_a_likelihood_that_is_none_is_not_exchanged_for_one():
+    log_l = np.array([[0.0, -np.inf, -np.inf], [-np.inf, 0.0, -np.inf]])
+    swap = tempering.exchange(log_l, np.array([1.0, 0.5]), False, np.random.default_rng(0))
+    np.testing.assert_array_equal(swap.order, [[0, 1, 0], [1, 0, 1]])
+
+
+def test_shares_are_respaced_until_neighbours_exchange_equally_often():
+    # rejections that are a length: the integral of 1 / (share + 0.1) between neighbours, scaled
+    shares = tempering.first_shares(7, 0.05)
+    assert shares[0] == 1 and shares[-1] == pytest.approx(0.05) and np.all(np.diff(shares) < 0)
+    for _ in range(6):
+        rejected = -np.diff(np.log(shares + 0.1)) / 5
+        shares = tempering.respaced(shares, 1 - rejected)
+    rejected = -np.diff(np.log(shares + 0.1))
+    assert shares[0] == 1 and shares[-1] == pytest.approx(0.05)
+    np.testing.assert_allclose(rejected, rejected.mean(), rtol=0.02)
 
 
 def test_a_precision_is_its_dense_matrix():

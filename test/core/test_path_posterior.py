@@ -90,10 +90,24 @@ def test_the_density_is_that_of_the_action(name, r, jacobian):
         -action(posterior, paths[..., b]) for b in range(3)], rtol=1e-12)
 
 
+def test_of_the_likelihood_a_share_may_count():
+    posterior = POSTERIORS['all in time'](0.5, 'determinant')
+    paths, shares = paths_of(posterior), np.array([0.0, 0.3, 1.0])
+    free, whole = posterior.log_density(paths, 0.0), posterior.log_density(paths)
+    np.testing.assert_allclose(whole - free, posterior.log_likelihood(paths), rtol=1e-9)
+    np.testing.assert_allclose(posterior.log_density(paths, shares),
+                               free + shares * (whole - free), rtol=1e-12)
+    slope = posterior.gradient(paths, 0.0)
+    np.testing.assert_allclose(posterior.gradient(paths, shares),
+                               slope + shares * (posterior.gradient(paths) - slope), rtol=1e-9)
+    at_stamps = [posterior.log_likelihood_at(k, paths[:, k]) for k in range(paths.shape[1])]
+    np.testing.assert_allclose(np.sum(at_stamps, axis=0), posterior.log_likelihood(paths))
+
+
 @EVERY
 def test_the_gradient_is_that_of_finite_differences(name, r, jacobian):
     posterior = POSTERIORS[name](r, jacobian)
-    paths, slope = paths_of(posterior), None
+    paths = paths_of(posterior)
     slope = posterior.gradient(paths)
     for i in range(2):
         for k in range(paths.shape[1]):
@@ -108,7 +122,7 @@ def test_the_gradient_is_that_of_finite_differences(name, r, jacobian):
 def test_a_step_is_the_kernels_own():
     for r, jacobian in WAYS:
         posterior = POSTERIORS['all in time'](r, jacobian)
-        paths, [*_, last] = paths_of(posterior), posterior.stamps_ns
+        paths = paths_of(posterior)
         shorter = PathPosterior(CHANGING, SENSORS, posterior.kernel, posterior.mean,
                                 posterior.covariance, MEASURED[:-1], 20 * MS)
         change = posterior.log_density(paths) - shorter.log_density(paths[:, :-1])

@@ -29,8 +29,8 @@ def gaussian_likelihood(y, h, variance):
 
 FIVE = Grid((-2.5,), (2.5,), (5,))
 STEADY = StateModel(('x',), lambda x, t: -np.sin(x), np.eye(1) * 3)
-CHANGING = StateModel(('x',), lambda x, t: t - np.sin(x), lambda t: np.array([[3 + np.cos(9 * t)]]),
-                      time_dependent=True)
+CHANGING = StateModel(('x',), lambda x, t: t - np.sin(x),
+                      lambda t: np.array([[3 + np.cos(9 * t)]]), time_dependent=True)
 MEASURED = [(2 * STEP, 'square', [1.3]), (int(3.4 * STEP), 'square', [2.0]),
             (int(3.4 * STEP), 'place', [-1.1]), (int(4.4 * STEP), 'place', [0.2])]
 #: What the filter does in between: from when, and what share of a step.

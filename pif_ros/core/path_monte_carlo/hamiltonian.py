@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -56,6 +57,20 @@ class Precision:
 
 
 @dataclass(frozen=True, eq=False)
+class Tuning:
+    """
+    What Hamiltonian moves of K groups of chains go by.
+
+    shares: of the likelihood that counts, (K,); masses: K precisions; steps: of the leapfrog,
+    (K,), in units in which the posterior, were it Gaussian of that precision, has unit width.
+    """
+
+    shares: Array
+    masses: tuple[Precision, ...]
+    steps: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Moved:
     """Paths (n, N + 1, B) after a move, and the probability with which each was accepted (B,)."""
 
@@ -64,35 +79,45 @@ class Moved:
 
 
 @np.errstate(over='ignore', invalid='ignore', divide='ignore')
-def move(posterior: PathPosterior, paths: Array, mass: Precision, step: float, leaps: int,
+def move(posterior: PathPosterior, paths: Array, tuning: Tuning, leaps: int,
          rng: Generator) -> Moved:
     """
     Return paths (n, N + 1, B) after a Hamiltonian move each  [Duane et al. 1987].
 
-    H(x, p) = U(x) + p^T M^-1 p / 2, leaps of the leapfrog with a step in units in which the
-    posterior, were it Gaussian of precision M, would have unit width.
+    H(x, p) = U(x) + p^T M^-1 p / 2, by so many leaps of the leapfrog.  B / K paths in a row
+    belong to each group of the tuning.
     """
-    p = mass.coloured(rng.standard_normal(paths.shape))
-    before = posterior.log_density(paths) - _kinetic(mass, p)
-    x, p = paths, p + step / 2 * posterior.gradient(paths)
+    count = paths.shape[2] // len(tuning.shares)
+    share, step = (np.repeat(values, count) for values in (tuning.shares, tuning.steps))
+    p = _by_group(Precision.coloured, tuning, rng.standard_normal(paths.shape))
+    before = posterior.log_density(paths, share) - _kinetic(tuning, p)
+    x, p = paths, p + step / 2 * posterior.gradient(paths, share)
     for k in range(leaps):
-        x = x + step * mass.solve(p)
-        p = p + (step if k < leaps - 1 else step / 2) * posterior.gradient(x)
-    after = posterior.log_density(x) - _kinetic(mass, p)
+        x = x + step * _by_group(Precision.solve, tuning, p)
+        p = p + (step if k < leaps - 1 else step / 2) * posterior.gradient(x, share)
+    after = posterior.log_density(x, share) - _kinetic(tuning, p)
     # a path that flew away is not accepted
     acceptance = np.nan_to_num(np.exp(np.minimum(after - before, 0.0)))
     accepted = rng.random(len(acceptance)) < acceptance
     return Moved(np.where(accepted, x, paths), acceptance)
 
 
-def adapted(step: float, acceptance: float, number: int) -> float:
-    """Return a step nearer to the one of the right acceptance, after so many of its kind."""
+def adapted(steps: Array, acceptance: Array, number: int) -> Array:
+    """Return steps nearer to those of the right acceptance, after so many of their kind."""
     # log step += gain (share accepted - wanted)  [Robbins and Monro 1951]
-    return float(step * np.exp((acceptance - ACCEPTANCE) / (1 + number)**0.6))
+    return np.asarray(steps * np.exp((acceptance - ACCEPTANCE) / (1 + number)**0.6))
 
 
-def _kinetic(mass: Precision, p: Array) -> Array:
-    return np.asarray(0.5 * np.einsum('ik...,ik...->...', p, mass.solve(p)))
+def _by_group(function: Callable[[Precision, Array], Array], tuning: Tuning,
+              paths: Array) -> Array:
+    groups = np.split(paths, len(tuning.masses), axis=2)
+    return np.concatenate([function(mass, group) for mass, group in zip(tuning.masses, groups)],
+                          axis=2)
+
+
+def _kinetic(tuning: Tuning, p: Array) -> Array:
+    return np.asarray(0.5 * np.einsum('ik...,ik...->...', p,
+                                      _by_group(Precision.solve, tuning, p)))
 
 
 def _flat(paths: Array) -> Array:

@@ -33,56 +33,42 @@ class _Cloud:
     parents: Integers
     drawn: NDArray[np.bool_]
 
-    @classmethod
-    def of(cls, states: Array, log_weights: Array) -> _Cloud:
-        """Return particles without parents."""
-        count, particles = log_weights.shape
-        return cls(states, log_weights, _stay(count, particles), np.zeros(count, dtype=bool))
 
-
-def renewed(posterior: PathPosterior, paths: Array, particles: int, rng: Generator,
-            start: int = 0) -> Array:
+def renewed(posterior: PathPosterior, paths: Array, particles: int, rng: Generator) -> Array:
     """
     Return new paths (n, N + 1, B), each renewed by a particle filter of its own.
 
     Particle 0 of each filter is held on its path, and the new path is traced back with the past
     weighed anew wherever parents were drawn: a move that leaves the posterior as it is, however
-    few the particles  [Andrieu, Doucet and Holenstein 2010; Whiteley 2010].  start: the state
-    from which on the path is renewed; where that is not the first one, it stays itself.
+    few the particles  [Andrieu, Doucet and Holenstein 2010; Whiteley 2010].
     """
-    if start == 0:
-        return _renewed(posterior, _first(posterior, paths, paths.shape[2], particles, rng),
-                        paths, particles, rng)
-    x = np.broadcast_to(paths[:, start, :, None], paths[:, start].shape + (particles,))
-    return np.concatenate([paths[:, :start], _renewed(
-        posterior, _Cloud.of(x, np.zeros(x.shape[1:])), paths, particles, rng, start)], axis=1)
+    return _traced(posterior, _forward(posterior, paths, paths.shape[2], particles, rng), rng)
 
 
 def begun(posterior: PathPosterior, count: int, particles: int, rng: Generator) -> Array:
     """Return count paths (n, N + 1, count), each from an ordinary particle filter of its own."""
-    first = _first(posterior, None, count, particles, rng)
-    return _renewed(posterior, first, None, particles, rng)
+    return _traced(posterior, _forward(posterior, None, count, particles, rng), rng)
 
 
-def _renewed(posterior: PathPosterior, first: _Cloud, paths: Array | None, particles: int,
-             rng: Generator, start: int = 0) -> Array:
-    clouds = [first]
-    for k in range(start, len(posterior.stamps_ns) - 1):
-        many = clouds[-1].states.shape[2]
-        fewer = particles if posterior.first_seen <= k else many
+def _forward(posterior: PathPosterior, paths: Array | None, count: int, particles: int,
+             rng: Generator) -> list[_Cloud]:
+    """Return the particles of all stamps; up to the first measurement there are more."""
+    clouds = [_first(posterior, paths, count, MORE_AT_FIRST * particles, rng)]
+    for k in range(len(posterior.stamps_ns) - 1):
+        fewer = particles if posterior.first_seen <= k else MORE_AT_FIRST * particles
         clouds.append(_next(posterior, paths, clouds[-1], k, fewer, rng))
-    return _traced(posterior, clouds, start, rng)
+    return clouds
 
 
 def _first(posterior: PathPosterior, paths: Array | None, count: int, particles: int,
            rng: Generator) -> _Cloud:
-    """Return particles of the prior, and more than asked for."""
     root = np.linalg.cholesky(np.asarray(posterior.covariance))
-    noise = rng.standard_normal((posterior.ndim, count, MORE_AT_FIRST * particles))
+    noise = rng.standard_normal((posterior.ndim, count, particles))
     x = np.reshape(posterior.mean, (-1, 1, 1)) + np.tensordot(root, noise, axes=1)
     if paths is not None:
         x[..., 0] = paths[:, 0]
-    return _Cloud.of(x, posterior.log_likelihood(0, x))
+    return _Cloud(x, posterior.log_likelihood_at(0, x), _stay(count, particles),
+                  np.zeros(count, dtype=bool))
 
 
 def _next(posterior: PathPosterior, paths: Array | None, cloud: _Cloud, k: int, particles: int,
@@ -103,7 +89,7 @@ def _next(posterior: PathPosterior, paths: Array | None, cloud: _Cloud, k: int, 
         f_r, log_jacobian = drift_terms(model, x_from + steps.settings.r * dx, steps.settings,
                                         steps.t)
         log_w = log_w + (log_jacobian + action(dx, f, g, eps) - action(dx, f_r, g, eps))
-    return _Cloud(x, log_w + posterior.log_likelihood(k + 1, x), parents, drawn)
+    return _Cloud(x, log_w + posterior.log_likelihood_at(k + 1, x), parents, drawn)
 
 
 def _resampled(log_w: Array, particles: int, conditioned: bool,
@@ -136,9 +122,8 @@ def _stay(count: int, particles: int) -> Integers:
     return np.broadcast_to(np.arange(particles), (count, particles))
 
 
-def _traced(posterior: PathPosterior, clouds: list[_Cloud], start: int,
-            rng: Generator) -> Array:
-    """Return a path (n, K, B) through K clouds from a state on, drawn backward in time."""
+def _traced(posterior: PathPosterior, clouds: list[_Cloud], rng: Generator) -> Array:
+    """Return a path (n, N + 1, B) through the particles, drawn backward in time."""
     chosen = _drawn(clouds[-1].log_weights, rng)
     path = [_pick(clouds[-1].states, chosen)]
     for k in range(len(clouds) - 2, -1, -1):
@@ -147,7 +132,7 @@ def _traced(posterior: PathPosterior, clouds: list[_Cloud], start: int,
         if after.drawn.any():
             # p(x' | x'', y_1 .. y_k) ~ w P(x'' | x')
             log_w = before.log_weights + log_transition(
-                posterior.model, path[-1][..., None], before.states, posterior.step[start + k])
+                posterior.model, path[-1][..., None], before.states, posterior.step[k])
             chosen = np.where(after.drawn, _drawn(log_w, rng), chosen)
         path.append(_pick(before.states, chosen))
     return np.stack(path[::-1], axis=1)

@@ -74,10 +74,10 @@ class PathPosterior:
                              f'got {np.asarray(self.mean).tolist()}')
         check_covariance('covariance', np.asarray(self.covariance), n)
         put(self, 'measurements', tuple(in_order(self.measurements, self.start_ns)))
-        for m in self._ordered:
+        for m in self.ordered:
             self._check(m)
         if self.start_ns is None:
-            put(self, 'start_ns', self._ordered[0].stamp_ns)
+            put(self, 'start_ns', self.ordered[0].stamp_ns)
         for steps in self.steps:
             check_covariance('model: e Q e^T', steps.diffusion, n)
 
@@ -91,6 +91,11 @@ class PathPosterior:
                              f'got {list(m.values)}')
 
     @property
+    def ordered(self) -> tuple[Measurement, ...]:
+        """Return the measurements in order."""
+        return self.measurements  # type: ignore[return-value]
+
+    @property
     def ndim(self) -> int:
         """Return the number of states."""
         return self.model.ndim
@@ -101,7 +106,7 @@ class PathPosterior:
         h = max(round(self.kernel.time_step * NANOSECONDS), 1)
         now = int(self.start_ns or 0)
         stamps = [now]
-        for stamp in sorted({m.stamp_ns for m in self._ordered} - {now}):
+        for stamp in sorted({m.stamp_ns for m in self.ordered} - {now}):
             stamps += [*range(now + h, stamp, h), stamp]
             now = stamp
         return tuple(stamps)
@@ -129,7 +134,7 @@ class PathPosterior:
         place = {stamp: k for k, stamp in enumerate(self.stamps_ns)}
         groups: dict[tuple[object, ...], list[Measurement]] = {}
         times: dict[tuple[str, int], int] = {}
-        for m in self._ordered:
+        for m in self.ordered:
             times[m.source, m.stamp_ns] = turn = times.get((m.source, m.stamp_ns), 0) + 1
             sensor = self.sensors[m.source]
             changes = sensor.time_dependent or callable(sensor.covariance)
@@ -150,29 +155,34 @@ class PathPosterior:
         every = np.arange(len(self.stamps_ns) - 1)
         return {int(k): steps for steps in self.steps for k in every[steps.index]}
 
-    def log_density(self, paths: Array) -> Array:
+    def log_density(self, paths: Array, share: Array | float = 1.0) -> Array:
         """
         Return -U of paths (n, N + 1, ...): log p(path, measurements), shape (...).
 
-        It is -inf where a model or sensor is undefined.
+        share: of the measurements' log likelihood that counts, one for all paths or for each.  It
+        is -inf where a model or sensor is undefined.
         """
         d = self._from_mean(paths)
         total = -0.5 * (np.einsum('i...,ij,j...->...', d, self._precision, d)
                         + np.linalg.slogdet(2 * np.pi * np.asarray(self.covariance))[1])
         for steps, x_from, x_to in self._moves(paths):
             total = total + log_transition(self.model, x_to, x_from, steps).sum(axis=0)
-        for seen in self.seen:
-            total = total + _log_likelihood(seen, paths[:, seen.index]).sum(axis=0)
+        total = total + share * self.log_likelihood(paths)
         return np.where(np.isnan(total), -np.inf, total)
 
-    def log_likelihood(self, k: int, x: Array) -> Array:
-        """Return log p(y_k | x) of what was measured at the k-th stamp, of states (n, ...)."""
+    def log_likelihood(self, paths: Array) -> Array:
+        """Return the log likelihood of all measurements along paths (n, N + 1, ...), (...)."""
+        return np.asarray(sum(_log_likelihood(seen, paths[:, seen.index]).sum(axis=0)
+                              for seen in self.seen))
+
+    def log_likelihood_at(self, k: int, x: Array) -> Array:
+        """Return the log likelihood of what was measured at the k-th stamp, of states (n, ...)."""
         total = np.zeros(x.shape[1:])
         for seen, place in self._seen_at.get(k, []):
             total += _log_likelihood(seen, x[:, None], [place])[0]
         return total
 
-    def gradient(self, paths: Array) -> Array:
+    def gradient(self, paths: Array, share: Array | float = 1.0) -> Array:
         """Return the derivatives of log_density by the states of paths, (n, N + 1, ...)."""
         slope = np.zeros(paths.shape)
         slope[:, 0] = -np.tensordot(self._precision, self._from_mean(paths), axes=1)
@@ -184,10 +194,10 @@ class PathPosterior:
             x = paths[:, seen.index]
             v, H = _residual(seen, x, slice(None)), seen.sensor.jacobian(x, seen.t)
             u = np.tensordot(np.linalg.inv(seen.sensor.noise(seen.t)), v, axes=1)
-            slope[:, seen.index] += np.einsum('ij...,i...->j...', H, u)
+            slope[:, seen.index] += share * np.einsum('ij...,i...->j...', H, u)
         return slope
 
-    def curvature(self, paths: Array) -> tuple[Array, Array]:
+    def curvature(self, paths: Array, share: float = 1.0) -> tuple[Array, Array]:
         """
         Return the Gauss-Newton precision of a path, averaged over paths (n, N + 1, B).
 
@@ -207,7 +217,8 @@ class PathPosterior:
             below[steps.index] -= _average(A, P, B)
         for seen in self.seen:
             H = seen.sensor.jacobian(paths[:, seen.index], seen.t)
-            diagonal[seen.index] += _average(H, np.linalg.inv(seen.sensor.noise(seen.t)), H)
+            P = share * np.linalg.inv(seen.sensor.noise(seen.t))
+            diagonal[seen.index] += _average(H, P, H)
         return diagonal, below
 
     @cached_property
@@ -217,10 +228,6 @@ class PathPosterior:
             for place, k in enumerate(seen.index):
                 found.setdefault(int(k), []).append((seen, place))
         return found
-
-    @property
-    def _ordered(self) -> tuple[Measurement, ...]:
-        return self.measurements  # type: ignore[return-value]
 
     @cached_property
     def _precision(self) -> Array:

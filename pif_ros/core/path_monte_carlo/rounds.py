@@ -9,8 +9,8 @@ import math
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
-from pif_ros.core.path_monte_carlo import hamiltonian, particles
-from pif_ros.core.path_monte_carlo.hamiltonian import Precision
+from pif_ros.core.path_monte_carlo import hamiltonian, particles, tempering
+from pif_ros.core.path_monte_carlo.hamiltonian import Precision, Tuning
 from pif_ros.core.path_monte_carlo.posterior import PathPosterior
 from pif_ros.core.path_monte_carlo.settings import SamplerSettings
 
@@ -20,79 +20,96 @@ Array = NDArray[np.float64]
 LEAPS = 32
 #: Particles from which the first paths are drawn where the moves have none.
 FIRST_PARTICLES = 64
-TAIL = 0.5
 
-
-@dataclass(frozen=True, eq=False)
-class Tuning:
-    """The preconditioner of Hamiltonian moves and the step of their leaps."""
-
-    mass: Precision
-    step: float
+#: Diagonal and lower blocks of a precision, for each of the shares.
+Curvatures = list[tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
 class Round:
     """
-    Paths (n, N + 1, chains) after a round.
+    Paths (n, N + 1, K chains) after a round, those of the whole likelihood first.
 
-    acceptance: share of Hamiltonian moves accepted; changed: share of chains in which the
-    particle move changed the state, (N + 1,); NaN where there were none.
+    acceptance: of Hamiltonian moves, (K,); changed: share of the chains in which the particle
+    move changed the state, (N + 1,); exchanged: share of exchanges accepted, (K - 1,); NaN where
+    there were none.
     """
 
     paths: Array
-    acceptance: float
+    acceptance: Array
     changed: Array
+    exchanged: Array
 
 
 def advanced(posterior: PathPosterior, settings: SamplerSettings, paths: Array, tuning: Tuning,
-             rng: Generator) -> Round:
-    """Return the paths (n, N + 1, chains) after a particle move and Hamiltonian ones."""
-    changed, acceptance = np.full(paths.shape[1], np.nan), []
+             number: int, rng: Generator) -> Round:
+    """Return the paths after the number-th round: particles, Hamiltonian moves, an exchange."""
+    count = len(tuning.shares)
+    changed, acceptance = np.full(paths.shape[1], np.nan), np.full((1, count), np.nan)
     if settings.particles:
-        before = paths
-        start = int(rng.integers(paths.shape[1])) if rng.random() < TAIL else 0
-        paths = particles.renewed(posterior, before, settings.particles, rng, start)
-        changed = np.any(paths != before, axis=0).mean(axis=1)
-    for _ in range(settings.moves):
+        before = paths[..., :settings.chains]
+        after = particles.renewed(posterior, before, settings.particles, rng)
+        changed = np.any(after != before, axis=0).mean(axis=1)
+        paths = np.concatenate([after, paths[..., settings.chains:]], axis=2)
+    if settings.moves:
+        acceptance = np.empty((settings.moves, count))
+    for k in range(settings.moves):
         # of random length, since one of fixed length may come back to where it began
-        leaps = math.ceil(rng.uniform(0, settings.travel) / tuning.step)
-        moved = hamiltonian.move(posterior, paths, tuning.mass, tuning.step,
-                                 min(max(leaps, 1), LEAPS), rng)
-        paths = moved.paths
-        acceptance.append(float(moved.acceptance.mean()))
-    return Round(paths, float(np.mean(acceptance)) if acceptance else math.nan, changed)
+        leaps = math.ceil(rng.uniform(0, settings.travel) / tuning.steps.mean())
+        moved = hamiltonian.move(posterior, paths, tuning, min(max(leaps, 1), LEAPS), rng)
+        paths, acceptance[k] = moved.paths, moved.acceptance.reshape(count, -1).mean(axis=1)
+    exchange = tempering.exchange(posterior.log_likelihood(paths).reshape(count, -1),
+                                  tuning.shares, bool(number % 2), rng)
+    order = exchange.order * settings.chains + np.arange(settings.chains)
+    return Round(paths[..., order.ravel()], acceptance.mean(axis=0), changed,
+                 exchange.acceptance)
 
 
 def warmed_up(posterior: PathPosterior, settings: SamplerSettings, rng: Generator,
               told: Callable[[int], None]) -> tuple[Array, Tuning]:
     """
-    Return paths (n, N + 1, chains) and a tuning after the warm-up.
+    Return paths (n, N + 1, K chains) and a tuning after the warm-up.
 
-    The preconditioner is averaged over chains and over the second quarter of the rounds; the step
-    is adapted all along, and once more from there.  told: the number of rounds done.
+    After each of its first three quarters, preconditioners and the ladder of shares are those of
+    the quarter's average; steps are adapted all along.  told: the number of rounds done.
     """
-    paths = particles.begun(posterior, settings.chains, settings.particles or FIRST_PARTICLES,
-                            rng)
+    shares = tempering.first_shares(settings.temperatures, settings.least_share)
+    paths = particles.begun(posterior, len(shares) * settings.chains,
+                            settings.particles or FIRST_PARTICLES, rng)
     # leapfrog in d dimensions is stable for steps of order d^(-1/4)
-    first = (paths.shape[0] * paths.shape[1])**-0.25
-    tuning, since = Tuning(Precision(*posterior.curvature(paths)), first), 0
-    learned = []
+    steps = np.full(len(shares), (paths.shape[0] * paths.shape[1])**-0.25)
+    tuning = Tuning(shares, _masses([_curvatures(posterior, paths, shares)]), steps)
+    learned: list[Curvatures] = []
+    exchanged: list[Array] = []
     for k in range(settings.warm_up):
-        turn = advanced(posterior, settings, paths, tuning, rng)
-        paths, since = turn.paths, since + 1
+        turn = advanced(posterior, settings, paths, tuning, k, rng)
+        paths = turn.paths
         if settings.moves:
-            step = hamiltonian.adapted(tuning.step, turn.acceptance, since)
-            tuning = replace(tuning, step=step)
-        if settings.warm_up <= 4 * k < 2 * settings.warm_up:
-            learned.append(posterior.curvature(paths))
-        elif learned:
-            tuning, since = Tuning(_averaged(learned), tuning.step), 0
-            learned = []
+            tuning = replace(tuning, steps=hamiltonian.adapted(
+                tuning.steps, turn.acceptance, len(learned)))
+            learned.append(_curvatures(posterior, paths, tuning.shares))
+            exchanged.append(turn.exchanged)
+        if 4 * len(learned) >= settings.warm_up and 4 * k < 3 * settings.warm_up:
+            tuning = Tuning(_respaced(tuning.shares, exchanged), _masses(learned), tuning.steps)
+            learned, exchanged = [], []
         told(k + 1)
     return paths, tuning
 
 
-def _averaged(learned: list[tuple[Array, Array]]) -> Precision:
-    diagonal, below = zip(*learned)
-    return Precision(np.mean(diagonal, axis=0), np.mean(below, axis=0))
+def _curvatures(posterior: PathPosterior, paths: Array, shares: Array) -> Curvatures:
+    return [posterior.curvature(group, share)
+            for group, share in zip(np.split(paths, len(shares), axis=2), shares)]
+
+
+def _masses(learned: list[Curvatures]) -> tuple[Precision, ...]:
+    """Return the averages over rounds, share by share."""
+    return tuple(Precision(np.mean([diagonal for diagonal, _ in rounds], axis=0),
+                           np.mean([below for _, below in rounds], axis=0))
+                 for rounds in zip(*learned))
+
+
+def _respaced(shares: Array, exchanged: list[Array]) -> Array:
+    tried = np.array(exchanged)
+    if len(shares) < 3 or np.any(np.all(np.isnan(tried), axis=0)):
+        return shares
+    return tempering.respaced(shares, np.nanmean(tried, axis=0))

@@ -35,7 +35,8 @@ class PathSample:
 
     names: of the n states; stamps_ns: N + 1; paths: (chains, draws, N + 1, n); acceptance: share
     of the Hamiltonian moves that were accepted; renewal: share of the particle moves that changed
-    the state, (N + 1,); both NaN where there were none.
+    the state, (N + 1,); exchange: share of the exchanges between temperatures that were accepted,
+    (temperatures - 1,); NaN where there were none.
     """
 
     names: tuple[str, ...]
@@ -43,6 +44,7 @@ class PathSample:
     paths: Array
     acceptance: float
     renewal: Array
+    exchange: Array
 
     @cached_property
     def r_hat(self) -> Array:
@@ -98,17 +100,18 @@ def sample(posterior: PathPosterior, settings: SamplerSettings = SamplerSettings
     many.  Whether it was long enough, r_hat tells.  progress: told the share that is done.
     """
     rng, rounds = np.random.default_rng(seed), settings.draws * settings.thinning
-    told = progress or (lambda share: None)
-    total = settings.warm_up + rounds
+    told, total = progress or (lambda share: None), settings.warm_up + rounds
     paths, tuning = warmed_up(posterior, settings, rng, lambda k: told(k / total))
-    kept = np.empty((settings.draws,) + paths.shape)
-    acceptance, changed = np.empty(rounds), np.empty((rounds, paths.shape[1]))
+    kept, turns = np.empty((settings.draws,) + paths.shape[:2] + (settings.chains,)), []
     for k in range(rounds):
-        turn = advanced(posterior, settings, paths, tuning, rng)
-        paths, acceptance[k], changed[k] = turn.paths, turn.acceptance, turn.changed
-        kept[k // settings.thinning] = paths
+        turn = advanced(posterior, settings, paths, tuning, k, rng)
+        paths = turn.paths
+        kept[k // settings.thinning] = paths[..., :settings.chains]
+        turns.append((turn.acceptance[0], turn.changed, turn.exchanged))
         told((settings.warm_up + k + 1) / total)
+    acceptance, changed, exchanged = (np.array(values) for values in zip(*turns))
     # (draws, n, N + 1, chains)
     return PathSample(posterior.model.names, posterior.stamps_ns,
                       np.ascontiguousarray(kept.transpose(3, 0, 2, 1)),
-                      float(acceptance.mean()), changed.mean(axis=0))
+                      float(acceptance.mean()), changed.mean(axis=0),
+                      np.nanmean(exchanged, axis=0))

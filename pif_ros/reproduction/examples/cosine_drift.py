@@ -30,7 +30,7 @@ def cases(quick: bool, scratch: str) -> list[TransitionCase]:
         'tm-3', 'where a state is 0.2 s after it was at each of four points',
         'densities (Figure 2), no number', cosine_drift().model, STARTS, 0.2,
         Grid((-1.5,), (1.5,), (1000,)), 100, 2_000 if quick else 100_000, SETTINGS,
-        expected(REFERENCE, STARTS), [*SHARED_REMARKS, REMARK])]
+        expected=expected(REFERENCE, STARTS), remarks=[*SHARED_REMARKS, REMARK])]
 
 
 REMARK = ("The paper's list of starting points has -0.05 twice; +0.05 is taken for one of them.")

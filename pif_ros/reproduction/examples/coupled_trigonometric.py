@@ -24,7 +24,7 @@ TITLE, SOURCE = 'Two coupled states, seen by their squares', 'Sensors, section 5
 STEP, BOX, SELDOM = 0.01, 6.0, 20
 PRINTED, BEST, SIR, OPTIMUM = 'grid, as printed', 'grid, best', 'SIR', 'particles'
 FINE = Grid((-8.0, -8.0), (8.0, 8.0), (120, 120))
-LABELS, LIMITS = ['x1', 'x2'], [(-BOX, BOX), (-BOX, BOX)]
+LABELS = ['x1', 'x2']
 OFTEN, RARE = 'sensors-2, dt = 0.01', 'sensors-2, dt = 0.2'
 
 
@@ -116,9 +116,8 @@ def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
     for file, name in (('often', OFTEN), ('seldom', RARE)):
         record, tracks = exhibits[name].record, exhibits[name].tracks
         pictures[f'estimates_{file}.png'] = band_picture(
-            record, record.truth, {name: tracks[name] for name in (PRINTED, BEST, SIR)}, LABELS,
-            LIMITS)
+            record, record.truth, {name: tracks[name] for name in (PRINTED, BEST, SIR)}, LABELS)
         pictures[f'density_{file}.png'] = intensity_picture(
             record, {f'{LABELS[axis]}, {BEST}': (tracks[BEST].read[f'film {axis}'], FINE, axis)
-                     for axis in (0, 1)}, 'state', LIMITS[0])
+                     for axis in (0, 1)}, 'state', (-BOX, BOX))
     return pictures

@@ -133,13 +133,13 @@ def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
     pictures = {}
     for file, name in (('small_noise', SMALL), ('large_noise', LARGE)):
         record, tracks, box = exhibits[name].record, exhibits[name].tracks, BOXES[name]
-        limits = list(zip(box.lower, box.upper))
+        limits = (box.lower[0], box.upper[0])
         pictures[f'estimates_{file}.png'] = band_picture(
             record, record.truth, {name: tracks[name] for name in (PRINTED, BEST, SIR)},
-            ['x1', 'x2'], limits)
+            ['x1', 'x2'])
         pictures[f'density_{file}.png'] = intensity_picture(
             record, {f'x1, {PRINTED}': (tracks[PRINTED].read['film'], box, 0),
-                     f'x1, {BEST}': (tracks[BEST].read['film'], box, 0)}, 'x1', limits[0])
+                     f'x1, {BEST}': (tracks[BEST].read['film'], box, 0)}, 'x1', limits)
     panels = {name: ({who: _marginal(exhibits[name], name, who)
                       for who in (PRINTED, BEST, 'SIR in the box', OPTIMUM)},
                      float(exhibits[name].record.truth[AT, 0])) for name in (SMALL, LARGE)}

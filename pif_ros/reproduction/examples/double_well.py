@@ -37,7 +37,7 @@ def cases(quick: bool, scratch: str) -> list[TransitionCase]:
         'tm-2', 'where a state is 0.1 s after it was at each of five points',
         'densities on top of 100,000 simulations (Figure 1), no number', double_well().model,
         STARTS, 0.1, Grid((-1.2,), (1.2,), (1200,)), 240, 2_000 if quick else 100_000, SETTINGS,
-        expected(REFERENCE, STARTS), REMARKS)]
+        expected=expected(REFERENCE, STARTS), remarks=REMARKS)]
 
 
 def expected(reference: Mapping[Setting, tuple[float, ...]],

@@ -75,8 +75,7 @@ def _cube(box: float, cells: int) -> Grid:
 
 def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
     """Return Figures 13 and 14."""
-    limits = [(-12.0, 12.0)] * 3 + [(-20.0, 20.0)]
     return {f'estimates_{sensor}.png': band_picture(
         exhibits[name].record, exhibits[name].record.truth,
-        {who: exhibits[name].tracks[who] for who in (PRINTED, BEST, OPTIMUM)}, LABELS, limits)
+        {who: exhibits[name].tracks[who] for who in (PRINTED, BEST, OPTIMUM)}, LABELS)
         for sensor, name in NAMES.items()}

@@ -108,4 +108,4 @@ def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
             f'{name}, 200 particles': tracks[name].read['cloud'] for name in (SIR, OTHER)},
             0, 'x', EVERY),
         'estimates.png': band_picture(record, np.abs(record.truth), {
-            name: tracks[name] for name in (PRINTED, BEST, SIR)}, ['|x|'], [(0.0, top)])}
+            name: tracks[name] for name in (PRINTED, BEST, SIR)}, ['|x|'])}
