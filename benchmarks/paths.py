@@ -69,8 +69,8 @@ def run(effort: Effort) -> Table:
             goals.append(Goal(f'deviation of {window.name} from particle filters', HONEST,
                               _last_deviation(drawn, means)))
     return Table('Path integral Monte Carlo', rows, [
-        'median: one round of all chains, with its particle moves, Hamiltonian moves and exchanges; of a particle '
-        'filter, one step',
+        'median: one round of all chains, with its particle moves, Hamiltonian moves and '
+        'exchanges; of a particle filter, one step',
         'R-hat, ESS: the worst of all states at all stamps, rank-normalised, of split chains; of '
         'a particle filter, the posterior variance of a mean at the last stamp over that of '
         f'{REPEATS} seeds, the worst of all states',

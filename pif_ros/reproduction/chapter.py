@@ -36,8 +36,8 @@ def make(name: str, seeds: Sequence[int], quick: bool, out: Path, resume: bool) 
         made = rows(case, seeds, found_by_seed, command)
         chapter['cases'].append({
             'name': case.name, 'title': case.title, 'printed': case.printed,
-            'median': case.median, 'rows': plain(made), 'held': [] if quick else plain(held(case, made)),
-            'remarks': list(case.remarks)})
+            'median': case.median, 'rows': plain(made), 'remarks': list(case.remarks),
+            'held': [] if quick else plain(held(case, made))})
     exhibits = {case.name: found_by_seed[0].exhibit for case, found_by_seed in zip(cases, by_case)}
     for file, picture in example.draw(exhibits).items():
         picture.savefig(folder / file, dpi=160)

@@ -32,7 +32,7 @@ def gaussian(mean: ArrayLike, covariance: ArrayLike) -> Prior:
 
 def uniform(filter_: Filter[Any]) -> Any:
     """Return the belief that knows nothing but the filter's box."""
-    return filter_.uniform()  # type: ignore[attr-defined]
+    return filter_.uniform()
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,8 @@ class Problem:
 
     def grid(self, name: str, role: str, grid: Grid, kernel: KernelSettings,
              average_cells: bool = True, shown: Mapping[str, Reading] | None = None,
-             prior: Prior | None = None, file: Path | None = None) -> Contender:
+             prior: Prior | None = None, file: Path | None = None,
+             significance: float = 0.0) -> Contender:
         """
         Return the Dirac-Feynman filter; it is the same for all seeds, and made once.
 
@@ -55,7 +56,7 @@ class Problem:
         def start() -> tuple[Filter[Any], Any]:
             operator = OperatorSettings(file=str(file or ''))
             filter_ = DiracFeynmanFilter(self.model, grid, self.sensors, kernel, average_cells,
-                                         operator=operator)
+                                         significance, operator)
             filter_.describe()
             return filter_, (prior or self.prior)(filter_)
         entry = Entry(name, role, f'{_cells(grid)}, {_kernel(kernel)}')
@@ -110,7 +111,7 @@ class PathProblem:
         def start(seed: int) -> tuple[Filter[Any], Any]:
             filter_ = PathParticleFilter(self.model, self.sensors, step, count,
                                          1_000_003 * (seed + 1))
-            return filter_, self.prior(filter_)  # type: ignore[return-value]
+            return filter_, self.prior(filter_)
         return Contender(Entry(name, role, f'{count:,} particles, steps of {step:g} s'), start)
 
     def extended(self, step: float) -> Contender:

@@ -35,7 +35,7 @@ def generator(model: StateModel, grid: Grid) -> sparse.csc_array:
     z = np.asarray(model.drift(edges, 0.0))[0] * dx / D
     up, down = D / dx**2 * _bernoulli(-z), D / dx**2 * _bernoulli(z)
     stay = -np.append(up, 0.0) - np.append(0.0, down)
-    return sparse.diags_array([up, stay, down], offsets=[-1, 0, 1]).tocsc()
+    return sparse.csc_array(sparse.diags([up, stay, down], offsets=[-1, 0, 1]))
 
 
 def point(grid: Grid, x: float) -> Array:

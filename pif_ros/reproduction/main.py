@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import AbstractContextManager
 import os
 from pathlib import Path
@@ -68,7 +68,7 @@ def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(args)
 
 
-def _check(wanted: argparse.Namespace, known: Sequence[str]) -> None:
+def _check(wanted: argparse.Namespace, known: Collection[str]) -> None:
     """Raise ValueError for what cannot be run."""
     for name in wanted.examples:
         if name not in known:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
@@ -190,26 +191,29 @@ def _transitions(ax: Axes, found: Densities, name: str) -> None:
         legend = [None if k else text for text in (
             'simulated paths', found.truth, 'path integral', "starting points x'")]
         ax.fill_between(bins, found.simulated[k], step='mid', color=GREY, lw=0, label=legend[0])
-        for values, label, looks in (
-                (truth[k], legend[1], {'color': INK, 'lw': 0.9}),
-                (p[k], legend[2], {'color': BLUE, 'lw': 2.0, 'ls': (0, (4, 2))})):
-            ax.plot(x, np.where(_seen(values), values, np.nan), label=label, **looks)
+        ax.plot(x, _visible(truth[k]), color=INK, lw=0.9, label=legend[1])
+        ax.plot(x, _visible(p[k]), color=BLUE, lw=2.0, ls=(0, (4, 2)), label=legend[2])
         ax.plot([start], [0.0], '^', color=VERMILION, ms=7, clip_on=False, zorder=5, ls='',
                 label=legend[3])
 
 
-def _bands(ax: Axes, t: Array, mean: Array, sigma: Array) -> None:
+def _bands(ax: Axes, t: Any, mean: Array, sigma: Array) -> None:
     ax.fill_between(t, mean - 2 * sigma, mean + 2 * sigma, color=SKY, alpha=0.35, lw=0,
                     label='2 sigma')
     ax.fill_between(t, mean - sigma, mean + sigma, color=BLUE, alpha=0.35, lw=0, label='1 sigma')
     ax.plot(t, mean, color=BLUE, lw=1.1, label='conditional mean')
 
 
-def _over_time(rows: Sequence[Axes]) -> None:
+def _over_time(rows: Any) -> None:
     for ax in rows:
         ax.margins(x=0)
         open_sides(ax)
     rows[-1].set_xlabel('time [s]')
+
+
+def _visible(p: Array) -> Array:
+    """Return a density, NaN where it is too low to be seen."""
+    return np.where(_seen(p), p, np.nan)
 
 
 def _seen(p: Array) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -12,6 +13,8 @@ from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.simulation import measure, measure_path, refined, simulate
 
 Array = NDArray[np.float64]
+#: Seconds, (T,).
+Times = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,19 +35,19 @@ class Record:
     origin: Array | None = None
 
 
-def recorded(model: StateModel, sensor: Sensor, name: str, start: Array, times: Array,
+def recorded(model: StateModel, sensor: Sensor, name: str, start: Array, times: Times,
              rng: Generator, substeps: int) -> Record:
     """Return the record of a path from a start at times[0], measured at all later times."""
     return observed(sensor, name, simulate(model, start, times, rng, substeps), times, rng)
 
 
-def observed(sensor: Sensor, name: str, path: Array, times: Array, rng: Generator) -> Record:
+def observed(sensor: Sensor, name: str, path: Array, times: Times, rng: Generator) -> Record:
     """Return the record of a path (T, n), measured at all times but the first."""
     y = np.array([measure(sensor, x, t, rng) for x, t in zip(path[1:], times[1:])])
     return Record(stamps(times[1:]), path[1:], y, name, path[0])
 
 
-def path_recorded(model: StateModel, sensor: Sensor, name: str, start: Array, times: Array,
+def path_recorded(model: StateModel, sensor: Sensor, name: str, start: Array, times: Times,
                   rng: Generator, substeps: int) -> Record:
     """Return the record of a path from a start at times[0], and of the path that is measured."""
     fine = refined(times, substeps)
@@ -53,6 +56,6 @@ def path_recorded(model: StateModel, sensor: Sensor, name: str, start: Array, ti
     return Record(stamps(times[1:]), path[substeps::substeps], y[1:], name, path[0], y[0])
 
 
-def stamps(times: Array) -> NDArray[np.int64]:
+def stamps(times: Times) -> NDArray[np.int64]:
     """Return times in seconds as stamps in nanoseconds."""
     return np.rint(times * NANOSECONDS).astype(np.int64)

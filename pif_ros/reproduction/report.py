@@ -66,8 +66,7 @@ def overview(chapters: Sequence[Chapter]) -> str:
         '# The examples of the papers\n', _table(lines),
         'Errors: mean and its standard error over the seeds; med., the median. They are root mean '
         'squares, of each component, and for tm-1 to tm-3 L1 distances of transition densities. '
-        'All filters of a case have the same data.  A command of N seeds takes those from 0 to N - 1.'
-        '\n'])
+        'All filters of a case have the same data; N seeds are those from 0 to N - 1.\n'])
 
 
 def chapter_text(chapter: Chapter, folder: str = '') -> str:
@@ -113,17 +112,19 @@ def _line(case: Mapping[str, Any], rows: Mapping[str, Any]) -> list[str]:
 
     def error(role: str) -> str:
         row = rows.get(role)
-        return '' if row is None else _figure(score, row['figures'][score],
-                                               case['median']) + _lost(row)
+        figure = '' if row is None else _figure(score, row['figures'][score], case['median'])
+        return '' if row is None else figure + _lost(row)
 
     def share(role: str, score: str) -> str:
         return _number(rows[role]['figures'][score]['mean'])
 
     covered = ', '.join(f'{share("best", part)} ({share("optimum", part)})'
                         for part in ('coverage_1', 'coverage_2') if part in first['figures'])
+    command = first['command'].removeprefix('ros2 run pif_ros ').removesuffix(' --out DIR')
     return [case['name'], case['printed'],
             *(error(role) for role in ('printed', 'best', 'sir', 'ekf', 'ukf', 'optimum')),
-            covered, _figure('step_s', rows['best']['figures'].get('step_s'), False), f'`{first["command"].replace("ros2 run pif_ros ", "").replace(" --out DIR", "")}`']
+            covered, _figure('step_s', rows['best']['figures'].get('step_s'), False),
+            f'`{command}`']
 
 
 def _figure(score: str, figure: Mapping[str, Any] | None, median: bool) -> str:

@@ -176,10 +176,10 @@ def test_ten_coupled_states_of_which_five_squares_are_seen_agree_with_a_large_pa
     # r = 0, as the particle filter's Euler steps are
     drawn = sample(PathPosterior(RING, {'s': EVERY_OTHER}, KernelSettings(h, r=0.0), mean,
                                  covariance, measured, 0),
-                   SamplerSettings(chains=4, draws=250, warm_up=60, particles=0, moves=2))
-    assert drawn.paths.shape == (4, 250, steps + 1, 10)
+                   SamplerSettings(chains=4, draws=700, warm_up=80, particles=0, moves=2))
+    assert drawn.paths.shape == (4, 700, steps + 1, 10)
     assert drawn.r_hat.max() < 1.02
-    assert drawn.effective_sample_size.min() > 500
+    assert drawn.effective_sample_size.min() > 700
 
     means = []
     for seed in range(8):

@@ -64,8 +64,8 @@ def _case(quick: bool, sigma_y: float) -> FilteringCase:
 
 
 REMARKS = [
-    'The pre-measurement form as printed is read before the last increment is used; DFY pre is the '
-    'same, read after it.',
+    'The pre-measurement form as printed is read before the last increment is used; DFY pre is '
+    'the same, read after it.',
     'The symmetric scheme takes half of the likelihood of an increment before the step and half '
     'after it.  The printed forms take h dy at one end of the step and h^2 in its middle, and that '
     'shows where the noise is small.',

@@ -8,8 +8,9 @@ from functools import cache
 from matplotlib.figure import Figure
 from pif_ros.core.grid import Grid
 from pif_ros.core.systems import cosine_drift
-from pif_ros.reproduction.examples.double_well import BEST, EULER, expected, PRINTED, SETTINGS
+from pif_ros.reproduction.examples.double_well import BEST, EULER, expected, PRINTED
 from pif_ros.reproduction.examples.double_well import REMARKS as SHARED_REMARKS
+from pif_ros.reproduction.examples.double_well import SETTINGS
 from pif_ros.reproduction.pictures import transition_picture
 from pif_ros.reproduction.transitions import Densities, TransitionCase
 

@@ -16,7 +16,7 @@ from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.models import Sensor
 from pif_ros.core.systems import cubic_bearing
-from pif_ros.reproduction.contenders import gaussian, Problem, uniform
+from pif_ros.reproduction.contenders import gaussian, Prior, Problem, uniform
 from pif_ros.reproduction.filtering import Contender, film, FilteringCase, Followed
 from pif_ros.reproduction.pictures import band_picture, intensity_picture, marginal_picture
 from pif_ros.reproduction.records import Record, recorded
@@ -78,7 +78,7 @@ SMALL_REMARK = (
     'there in few of the runs.')
 LARGE_REMARK = (
     'The printed failure of the particle filter is that of its prior: x2 from N(0, 1) throws x1 '
-    'far away, and the bearing does not bring it back.  From the grid\'s own prior it is as good '
+    'far away, and the bearing does not bring it back.  From the prior of the grid it is as good '
     'as any.')
 
 
@@ -120,7 +120,7 @@ def _blind_outside(sensor: Sensor, box: Grid) -> Sensor:
         box.contains(x), sensor.function(x, t), np.nan))
 
 
-def _inside(box: Grid):
+def _inside(box: Grid) -> Prior:
     """Return what gives a larger grid the uniform prior in a box."""
     def prior(filter_: DiracFeynmanFilter) -> GridBelief:
         inside = box.contains(filter_.grid.points).reshape(filter_.grid.shape)

@@ -49,7 +49,7 @@ def _case(quick: bool, scratch: Path, sensor: str, value: float, spread: float) 
             problem.grid(PRINTED, 'printed', printed, KernelSettings(
                 STEP, 0.5, 'exponential', 1, 'sampled'), False, file=scratch / 'printed.kernel'),
             problem.grid(BEST, 'best', best, KernelSettings(STEP / 5),
-                         file=scratch / 'best.kernel'),
+                         file=scratch / 'best.kernel', significance=1e-4),
             problem.particles(SIR, 'sir', 1000, STEP / 50),
             problem.particles('SIR, one step', '', 5000, STEP),
             problem.extended(STEP / 10), problem.unscented(STEP / 10),

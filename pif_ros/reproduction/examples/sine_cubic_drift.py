@@ -87,9 +87,9 @@ EXPECTED = [
 REMARKS = [
     'What is estimated is |x|, since the sensor does not see the sign: the mean of x itself says '
     'nothing, and is best for a filter that lost one of the two humps by luck.',
-    'The paper is silent on the start and the box: x(0) is drawn from N(0, 1), and the box reaches '
-    'from -20 to 20.',
-    'The printed cell of 0.25 is wider than the likelihood at |x| > 2, where sigma_y / |h\'| < '
+    'The paper is silent on the start and the box: x(0) is drawn from N(0, 1), and the box is '
+    '[-20, 20].',
+    "The printed cell of 0.25 is wider than the likelihood at |x| > 2, where sigma_y / |h'| < "
     '0.25: the mean suffers little, but the bands come out too narrow.',
     'That the particle filter loses one of the humps (Figures 6 and 7) is so, and no accident: '
     'resampling lets one of two equal humps die out, with 1000 particles too.']
