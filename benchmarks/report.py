@@ -15,7 +15,7 @@ import sys
 from benchmarks.timing import ratio, Samples
 import numpy as np
 
-PACKAGES = ('numpy', 'scipy', 'stonesoup', 'particles', 'filterpy', 'numba', 'rclpy')
+PACKAGES = ('numpy', 'scipy', 'stonesoup', 'particles', 'filterpy', 'PyWavelets', 'numba', 'rclpy')
 
 
 @dataclass(frozen=True)

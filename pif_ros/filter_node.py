@@ -289,7 +289,7 @@ class FilterNode(Node):
         self._outputs.publish(belief, stamp_ns)
 
     def _is_left_to_the_timer(self, stamp_ns: int) -> bool:
-        """Return whether an estimate lies so far back that predicting each to now would not end."""
+        """Return whether an estimate lies so far back that predicting each to now takes long."""
         rate, now_ns = self.config.publish.rate, self._now()
         return bool(rate and now_ns is not None and now_ns > self._published_ns
                     and self._published_ns - stamp_ns > NANOSECONDS / rate)

@@ -1065,7 +1065,7 @@ def test_a_node_that_lags_behind_leaves_the_forecasts_to_the_timer(graph):
     rig.pose_at(T + 5 * SECOND)
     made, forecast = [], rig.node.tracker.forecast
     rig.node.tracker.forecast = lambda stamp_ns: made.append(stamp_ns) or forecast(stamp_ns)
-    # the clock goes on, and measurements of seconds ago come in: none is predicted to now by itself
+    # the clock goes on, measurements of seconds ago come in: none is predicted to now by itself
     message = Clock()
     stamp_into(message.clock, T + 6 * SECOND)
     rig.node.destroy_timer(next(iter(rig.node.timers)))

@@ -38,7 +38,7 @@ LAYERS = [
     ['core.rivals', 'core.path_monte_carlo.posterior'],
     ['core.continuous.kalman_bucy', 'core.path_monte_carlo.hamiltonian',
      'core.path_monte_carlo.particles'],
-    ['core.continuous', 'core.path_monte_carlo.rounds'],
+    ['core.continuous', 'core.path_monte_carlo.rounds', 'core.path_monte_carlo.tempering'],
     ['core.path_monte_carlo.sampler'],
     ['core.path_monte_carlo'],
     ['config.kinds'],

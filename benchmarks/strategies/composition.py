@@ -48,7 +48,7 @@ def run(effort: Effort) -> Table:
         'L1 to exact: to fine cells, sub-steps, extrapolated; 1000 L1 to plain: a thousand times '
         'the L1 to the density that the steps one by one give.',
         'In n dimensions s steps reach about s^(n/2) times as many cells as one, and save s - 1 '
-        'products: on a line that pays, on a plane it is even at best.'])
+        'products: on a line that pays; on a plane hardly, and only with the wider tolerance.'])
 
 
 def _problems() -> list[Problem]:

@@ -41,7 +41,9 @@ def make_filter(config: Config, model: StateModel, grid: Grid,
     if kind != 'df':
         _refuse_what_is_not_used(config, kind)
     if kind in ('df', 'dfy'):
-        _check_grid_memory(model, grid, settings)
+        # an operator of several steps has about as many weights as a kernel of one long step
+        _check_grid_memory(model, grid, dataclasses.replace(
+            settings, time_step=settings.time_step * config.operator.steps))
     with named('filter'):
         if kind == 'df':
             return DiracFeynmanFilter(model, grid, sensors, settings, config.filter.average_cells,

@@ -27,8 +27,9 @@ class StateModel:
     vielbein_jacobian: de_ia/dx_j, (n, p, n, ...), both taken by central differences where none is
     given; time_dependent: whether f, or a multiplicative e, depends on t (other functions do);
     period: seconds after which all that depends on time comes again, 0 for never, so that kernels
-    of the same phase are made once; s: the sense of multiplicative noise, for which e is taken at x' + s (x'' - x') of a step from
-    x' to x'': 0 is Ito's, 1/2 Stratonovich's; units: one per state, for the reader.
+    of the same phase are made once; s: the sense of multiplicative noise, for which e is taken at
+    x' + s (x'' - x') of a step from x' to x'': 0 is Ito's, 1/2 Stratonovich's; units: one per
+    state, for the reader.
     """
 
     names: tuple[str, ...]

@@ -149,7 +149,8 @@ def test_a_filter_in_a_wavelet_basis_tracks_as_in_the_cells():
 
 # What cannot be
 
-@pytest.mark.parametrize('wrong', [{'steps': 0}, {'steps': 1001}, {'level': 0}, {'threshold': 1.0}])
+@pytest.mark.parametrize(
+    'wrong', [{'steps': 0}, {'steps': 1001}, {'level': 0}, {'threshold': 1.0}])
 def test_what_makes_no_operator_is_refused_by_name(wrong):
     [name] = wrong
     with pytest.raises(ValueError, match=f'^{name}: expected .*, got {wrong[name]}$'):

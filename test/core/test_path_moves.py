@@ -162,16 +162,16 @@ def test_particles_that_all_fail_leave_the_path_where_it_is():
 
 
 def test_exchanges_leave_each_share_of_the_likelihood_as_it_is():
-    posterior, rng = posterior_of(0.5), np.random.default_rng(4)
-    shares = np.array([1.0, 0.5, 0.2])
+    posterior, rng, count = posterior_of(0.5), np.random.default_rng(4), 30_000
+    shares = np.array([1.0, 0.3, 0.05])
     laws = [exact(posterior, share=share) for share in shares]
-    paths = np.concatenate([drawn(*law, 8000, rng) for law in laws], axis=2)
-    for number in range(4):
+    paths = np.concatenate([drawn(*law, count, rng) for law in laws], axis=2)
+    for number in range(10):
         log_l = posterior.log_likelihood(paths).reshape(3, -1)
         swap = tempering.exchange(log_l, shares, bool(number % 2), rng)
-        paths = paths[..., (swap.order * 8000 + np.arange(8000)).ravel()]
+        paths = paths[..., (swap.order * count + np.arange(count)).ravel()]
         assert np.flatnonzero(np.isfinite(swap.acceptance)).tolist() == [number % 2]
-        assert 0.2 < np.nanmean(swap.acceptance) < 0.98
+        assert 0.2 < np.nanmean(swap.acceptance) < 0.9
     for group, law in zip(np.split(paths, 3, axis=2), laws):
         assert_distributed(group, *law)
 

@@ -64,7 +64,7 @@ class MultiplicativeStencil:
         return log_transition_density(self._model, x + moved, x, self._settings, self._t)
 
     def _straight(self, x: Array, moved: Array, cell: Integers, cells: Integers) -> Array:
-        """Return the same but for a constant of each cell, whose noise is one for all its moves."""
+        """Return the same but for a constant of each cell, whose moves all have its noise."""
         settings, eps = self._settings, self._settings.time_step
         f, log_jacobian = drift_terms(self._model, x + settings.r * moved, settings, self._t)
         g = self._model.diffusion_at(self._grid.points[:, cells], self._t + settings.r * eps)

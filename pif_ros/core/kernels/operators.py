@@ -79,8 +79,15 @@ def kernel_of(model: StateModel, grid: Grid, settings: KernelSettings, how: Oper
 
 def operator_of(kernel: sparse.csr_array, grid: Grid, settings: KernelSettings,
                 how: OperatorSettings) -> Operator:
-    """Return the operator of how.steps steps of a kernel, pruned to the kernel's tolerance."""
-    whole = composed(kernel, how.steps, settings.tolerance)
+    """
+    Return the operator of how.steps steps of a kernel, pruned to the kernel's tolerance.
+
+    Below a wavelet basis that would be wasted: there it is pruned to ten of the basis' thresholds.
+    """
+    finest = settings.tolerance
+    if how.wavelet:
+        finest = min(max(finest, 10 * how.threshold), 0.1)
+    whole = composed(kernel, how.steps, finest)
     if not how.wavelet:
         return whole
     return WaveletKernel.make(whole, grid, how.wavelet, how.level, how.threshold)
