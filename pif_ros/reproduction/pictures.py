@@ -62,11 +62,10 @@ def path_picture(record: Record, labels: Sequence[str], measured: Sequence[str])
     return figure
 
 
-def band_picture(record: Record, truth: Array, tracks: Mapping[str, Track],
-                 labels: Sequence[str]) -> Figure:
+def band_picture(record: Record, tracks: Mapping[str, Track], labels: Sequence[str]) -> Figure:
     """Return means with their 1 and 2 sigma bands over the truth, a row for each track."""
+    truth, wide = record.truth, len(labels) > 1
     margin, low, high = 0.5 * np.ptp(truth, axis=0), truth.min(axis=0), truth.max(axis=0)
-    wide = len(labels) > 1
     with styled():
         figure = framed(4.7 * len(labels) if wide else 9.0, 0.8 + 1.9 * len(tracks))
         axes = figure.subplots(len(tracks), len(labels), sharex=True, sharey='col', squeeze=False)
@@ -74,12 +73,30 @@ def band_picture(record: Record, truth: Array, tracks: Mapping[str, Track],
             for i, ax in enumerate(row):
                 t = record.stamps_ns[track.chosen] * _NANO
                 _bands(ax, t, track.means[:, i], np.sqrt(track.variances[:, i]))
+                ax.plot(t, track.means[:, i], color=BLUE, lw=1.1, label='conditional mean')
                 ax.plot(record.stamps_ns * _NANO, truth[:, i], color=INK, lw=0.9, label='truth')
                 ax.set(ylabel=labels[i], ylim=(low[i] - margin[i], high[i] + margin[i]))
             row[0].set_title(name)
         for column in axes.T:
             _over_time(column)
         legend_on_top(figure, axes[0, 0], 4)
+    return figure
+
+
+def error_picture(record: Record, truth: Array, tracks: Mapping[str, Track],
+                  label: str) -> Figure:
+    """Return errors of the first component over their 1 and 2 sigma bands, a row for each."""
+    with styled():
+        figure = framed(9.0, 0.8 + 1.9 * len(tracks))
+        rows = figure.subplots(len(tracks), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+        for ax, (name, track) in zip(rows, tracks.items()):
+            t, sigma = record.stamps_ns[track.chosen] * _NANO, np.sqrt(track.variances[:, 0])
+            _bands(ax, t, np.zeros(len(t)), sigma)
+            ax.plot(t, truth[track.chosen, 0] - track.means[:, 0], color=INK, lw=0.9,
+                    label='truth less conditional mean')
+            ax.set(title=name, ylabel=label)
+        _over_time(rows)
+        legend_on_top(figure, rows[0], 3)
     return figure
 
 
@@ -201,7 +218,6 @@ def _bands(ax: Axes, t: Any, mean: Array, sigma: Array) -> None:
     ax.fill_between(t, mean - 2 * sigma, mean + 2 * sigma, color=SKY, alpha=0.35, lw=0,
                     label='2 sigma')
     ax.fill_between(t, mean - sigma, mean + sigma, color=BLUE, alpha=0.35, lw=0, label='1 sigma')
-    ax.plot(t, mean, color=BLUE, lw=1.1, label='conditional mean')
 
 
 def _over_time(rows: Any) -> None:

@@ -79,7 +79,7 @@ def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
         record, tracks = exhibits[name].record, exhibits[name].tracks
         pictures[f'path{file}.png'] = path_picture(record, ['x'], ['y'])
         pictures[f'estimates{file}.png'] = band_picture(
-            record, record.truth, {who: tracks[who] for who in (PRINTED, BEST, EKF)}, ['x'])
+            record, {who: tracks[who] for who in (PRINTED, BEST, EKF)}, ['x'])
         pictures[f'density{file}.png'] = intensity_picture(record, {
             who: (tracks[who].read['film'], GRID, 0) for who in (PRINTED, BEST)}, 'x',
             (-1.0, 1.5))

@@ -116,7 +116,7 @@ def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
     for file, name in (('often', OFTEN), ('seldom', RARE)):
         record, tracks = exhibits[name].record, exhibits[name].tracks
         pictures[f'estimates_{file}.png'] = band_picture(
-            record, record.truth, {name: tracks[name] for name in (PRINTED, BEST, SIR)}, LABELS)
+            record, {name: tracks[name] for name in (PRINTED, BEST, SIR)}, LABELS)
         pictures[f'density_{file}.png'] = intensity_picture(
             record, {f'{LABELS[axis]}, {BEST}': (tracks[BEST].read[f'film {axis}'], FINE, axis)
                      for axis in (0, 1)}, 'state', (-BOX, BOX))

@@ -135,7 +135,7 @@ def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
         record, tracks, box = exhibits[name].record, exhibits[name].tracks, BOXES[name]
         limits = (box.lower[0], box.upper[0])
         pictures[f'estimates_{file}.png'] = band_picture(
-            record, record.truth, {name: tracks[name] for name in (PRINTED, BEST, SIR)},
+            record, {name: tracks[name] for name in (PRINTED, BEST, SIR)},
             ['x1', 'x2'])
         pictures[f'density_{file}.png'] = intensity_picture(
             record, {f'x1, {PRINTED}': (tracks[PRINTED].read['film'], box, 0),

@@ -67,6 +67,6 @@ def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
     return {
         'path.png': path_picture(record, ['x'], ['y']),
         'estimates.png': band_picture(
-            record, record.truth, {who: tracks[who] for who in (PRINTED, BEST, EKF)}, ['x']),
+            record, {who: tracks[who] for who in (PRINTED, BEST, EKF)}, ['x']),
         'density.png': intensity_picture(
             record, {BEST: (tracks[BEST].read['film'], COARSER, 0)}, 'x', (-top, top), FILMED)}

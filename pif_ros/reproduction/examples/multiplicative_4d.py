@@ -76,6 +76,5 @@ def _cube(box: float, cells: int) -> Grid:
 def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
     """Return Figures 13 and 14."""
     return {f'estimates_{sensor}.png': band_picture(
-        exhibits[name].record, exhibits[name].record.truth,
-        {who: exhibits[name].tracks[who] for who in (PRINTED, BEST, OPTIMUM)}, LABELS)
+        exhibits[name].record, {who: exhibits[name].tracks[who] for who in (PRINTED, BEST, OPTIMUM)}, LABELS)
         for sensor, name in NAMES.items()}

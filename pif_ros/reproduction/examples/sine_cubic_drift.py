@@ -15,7 +15,7 @@ from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.systems import sine_cubic_drift
 from pif_ros.reproduction.contenders import gaussian, Problem
 from pif_ros.reproduction.filtering import film, FilteringCase, Followed
-from pif_ros.reproduction.pictures import (band_picture, cloud_picture, intensity_picture,
+from pif_ros.reproduction.pictures import (cloud_picture, error_picture, intensity_picture,
                                            path_picture)
 from pif_ros.reproduction.records import Record, recorded
 from pif_ros.reproduction.study import Expected
@@ -30,7 +30,7 @@ COARSE, FINE = (Grid((-BOX,), (BOX,), (cells,)) for cells in (160, 800))
 #: Cells on which |x| is read off any belief.
 READ = Grid((-BOX,), (BOX,), (4000,))
 #: Measurements from picture to picture of a cloud.
-EVERY = 5
+EVERY = 2
 PRINTED, BEST, OPTIMUM = 'grid, as printed', 'grid, best', 'particles'
 SIR, OTHER = 'SIR', 'SIR, another seed'
 
@@ -58,7 +58,7 @@ def cases(quick: bool, scratch: str) -> list[FilteringCase]:
             problem.particles(OTHER, '', 200, STEP, shown=cloud, salt=1),
             problem.particles('SIR, more', '', 1000, STEP),
             problem.extended(STEP), problem.unscented(STEP),
-            problem.particles(OPTIMUM, 'optimum', 2_000 if quick else 50_000, STEP / 2)),
+            problem.particles(OPTIMUM, 'optimum', 2_000 if quick else 30_000, STEP / 2)),
         EXPECTED, REMARKS, moments=absolute_moments, transform=np.abs,
         watched={'both signs alive': Reading(both_signs)})]
 
@@ -96,7 +96,7 @@ REMARKS = [
 
 
 def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
-    """Return Figures 3 to 7, and the estimates of |x|."""
+    """Return Figures 3 to 7, and the errors of |x|."""
     record, tracks = exhibits['tm-4'].record, exhibits['tm-4'].tracks
     top = 1.1 * float(np.abs(record.truth).max())
     return {
@@ -107,5 +107,5 @@ def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
         'clouds.png': cloud_picture(record, {
             f'{name}, 200 particles': tracks[name].read['cloud'] for name in (SIR, OTHER)},
             0, 'x', EVERY),
-        'estimates.png': band_picture(record, np.abs(record.truth), {
-            name: tracks[name] for name in (PRINTED, BEST, SIR)}, ['|x|'])}
+        'errors.png': error_picture(record, np.abs(record.truth), {
+            name: tracks[name] for name in (PRINTED, BEST, SIR)}, 'error of |x|')}

@@ -40,7 +40,7 @@ def _case(quick: bool, system: System, sensor: str, step: float) -> SmoothingCas
     return SmoothingCase(
         NAMES[sensor], 'sizes of the states, given all of 50 measurements',
         'proposed, not shown', system.model, sensors, np.zeros(n), np.eye(n), GRIDS[sensor],
-        KernelSettings(step), SamplerSettings(draws=20 if quick else 200,
+        KernelSettings(step), SamplerSettings(draws=20 if quick else 150,
                                               warm_up=10 if quick else 50, particles=128),
         record, REMARKS)
 
