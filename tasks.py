@@ -37,7 +37,9 @@ def reproduce(arguments):
 
 
 def test(arguments):
-    run(environment() / 'python', '-m', 'pytest', *arguments, ROS_PYTHON_CHECK_FIELDS='1')
+    # one process for each core, and all of a file in the same
+    run(environment() / 'python', '-m', 'pytest', '-n', 'auto', '--dist', 'loadfile', *arguments,
+        ROS_PYTHON_CHECK_FIELDS='1')
 
 
 def lint(arguments):

@@ -39,7 +39,8 @@ class Window:
     A posterior over paths, what it is called, and what is known of it.
 
     exact: returns the averages, (stamps, 3 n); filtered: returns the means at the last stamp of
-    some particle filters (filters, n), and their seconds per step.
+    some particle filters (filters, n), and their seconds per step; mixes: whether these settings
+    are meant to mix it well.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Window:
     settings: SamplerSettings
     exact: Callable[[], Array] | None = None
     filtered: Callable[[], tuple[Array, Array]] | None = None
+    mixes: bool = True
 
 
 def run(effort: Effort) -> Table:
@@ -57,7 +59,7 @@ def run(effort: Effort) -> Table:
         drawn, seconds = _timed(window)
         exact = window.exact() if window.exact else None
         rows.append(_row(window, drawn, seconds, exact))
-        if window.settings.particles or window.settings.temperatures > 1:
+        if window.mixes:
             goals.append(Goal(f'R-hat of {window.name}, {window.setting}', MIXED,
                               float(drawn.r_hat.max())))
         if exact is not None:
@@ -100,7 +102,7 @@ def _windows(effort: Effort) -> Iterator[Window]:
         yield Window(name, setting, posterior, settings,
                      partial(_smoothed, filter_, prior, measured))
         yield Window(name, f'{setting}, gradients alone', posterior,
-                     replace(settings, particles=0))
+                     replace(settings, particles=0), mixes=False)
 
 
 def _measured(model: StateModel, sensor: Sensor, source: str, start: object, h: float,
@@ -195,13 +197,13 @@ def _ring(effort: Effort, r: float) -> Window:
     measured = _measured(model, sensor, 'squares', mean, h, steps)
     posterior = PathPosterior(model, {'squares': sensor}, KernelSettings(h, r=r), mean,
                               covariance, measured, 0)
-    draws = 2000 if r == 0 else 500
+    draws = 1500 if r == 0 else 400
     return Window('ring of ten', f'{steps} steps of {h:g} s, r = {r:g}', posterior,
                   SamplerSettings(chains=4, draws=effort.scaled(draws, 50),
                                   warm_up=effort.scaled(200, 40), particles=0, moves=2,
-                                  temperatures=8),
+                                  temperatures=16),
                   filtered=partial(_filtered, posterior, effort.scaled(PARTICLES)) if r == 0
-                  else None)
+                  else None, mixes=r == 0)
 
 
 def _filtered(posterior: PathPosterior, particles: int) -> tuple[Array, Array]:

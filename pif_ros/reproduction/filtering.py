@@ -15,7 +15,7 @@ from pif_ros.core.grid import Grid
 from pif_ros.core.scoring import rmse
 from pif_ros.reproduction.records import Record
 from pif_ros.reproduction.study import Entry, Expected, Outcome
-from pif_ros.reproduction.tracks import follow, Moments, moments, Reading, Track
+from pif_ros.reproduction.tracks import Estimand, follow, Reading, STATES, Track
 
 Array = NDArray[np.float64]
 
@@ -47,9 +47,9 @@ class FilteringCase:
     """
     Contenders on the same record.
 
-    draw: returns a record from a generator; moments: what is estimated, means and variances (n,)
-    of a belief, and of the truth, transform: states (K, n) to the same (K, n), after every so many
-    measurements; watched: further figures of a belief, averaged over time.
+    draw: returns a record from a generator; estimand: what is scored, after every so many
+    measurements; also: what is scored besides, by name; watched: further figures of a belief,
+    averaged over time.
     """
 
     name: str
@@ -60,8 +60,8 @@ class FilteringCase:
     expected: Sequence[Expected] = ()
     remarks: Sequence[str] = ()
     median: bool = False
-    moments: Moments = moments
-    transform: Callable[[Array], Array] = np.asarray
+    estimand: Estimand = STATES
+    also: Mapping[str, Estimand] = field(default_factory=dict)
     every: int = 1
     watched: Mapping[str, Reading] = field(default_factory=dict)
 
@@ -73,27 +73,39 @@ class FilteringCase:
     def run(self, seed: int, keep: bool) -> Outcome:
         """Return the scores of all contenders on the record of this seed."""
         record = self.draw(np.random.default_rng(seed))
-        scores, tracks, truth = {}, {}, self.transform(record.truth)
+        scores, tracks = {}, {}
         for one in self.contenders:
             begin = perf_counter()
             filter_, prior = one.start(seed)
             made = perf_counter() - begin
-            track = follow(filter_, prior, record, self.moments,
-                           {**self.watched, **(one.shown if keep else {})}, self.every)
+            track = follow(filter_, prior, record, self.estimand.moments, {
+                **self.watched, **(one.shown if keep else {}),
+                **{name: Reading(what.moments) for name, what in self.also.items()}}, self.every)
             tracks[one.entry.name] = track
-            scores[one.entry.name] = {
-                **scored(track, truth[track.chosen], self.watched), 'start_s': made}
+            scores[one.entry.name] = {**self._scores(track, record.truth), 'start_s': made}
         for role in ('optimum', 'best'):
             for to in [tracks[e.name] for e in self.entries if e.role == role][:1]:
                 for name, track in tracks.items():
                     scores[name][f'to_{role}'] = distance(track.means, to.means)
         return Outcome(scores, Followed(record, tracks) if keep else None)
 
+    def _scores(self, track: Track, truth: Array) -> dict[str, float]:
+        lost = bool(track.fault)
+        scores = error_scores(self.estimand.of(truth)[track.chosen], track.means, track.variances)
+        for name, what in self.also.items():
+            read = np.full((len(truth), 2, truth.shape[1]), np.nan)
+            read[:len(track.read[name])] = track.read[name]
+            other = error_scores(what.of(truth), read[:, 0], read[:, 1])
+            scores.update({f'{score} {name}': value for score, value in other.items()})
+        return {**scores, 'log_evidence': np.nan if lost else track.log_evidence,
+                'mass': float(np.mean(track.masses)), 'step_s': float(np.nanmedian(track.seconds)),
+                **{name: np.nan if lost else float(np.mean(track.read[name]))
+                   for name in self.watched}}
+
 
 def film(grid: Grid, axis: int, every: int = 1) -> Reading:
     """Return how a marginal is read, on the cells of a grid, after every so many measurements."""
-    cells = grid.select([axis])
-    return Reading(lambda belief: belief.on(cells, [axis]).density.astype(np.float32), every)
+    return Reading(lambda belief: belief.on(grid, [axis]).density.astype(np.float32), every)
 
 
 def distance(a: Array, b: Array) -> float:
@@ -101,20 +113,15 @@ def distance(a: Array, b: Array) -> float:
     return rmse(a - b) / np.sqrt(a.shape[1])
 
 
-def scored(track: Track, truth: Array, watched: Mapping[str, Reading]) -> dict[str, float]:
+def error_scores(truth: Array, means: Array, variances: Array) -> dict[str, float]:
     """
-    Return the scores of a track against the truth (K, n).
+    Return the scores of means and variances against the truth, (K, n) each; NaN where one is.
 
     coverage: the share of time and components within 1 and 2 standard deviations of the mean,
-    0.683 and 0.954 for a Gaussian.  A track that ended early has no errors.
+    0.683 and 0.954 for a Gaussian.
     """
-    errors, spread = truth - track.means, np.sqrt(np.maximum(track.variances, 0.0))
-    lost = bool(track.fault)
-    return {
-        'rmse': distance(truth, track.means),
-        'coverage_1': np.nan if lost else float(np.mean(np.abs(errors) < spread)),
-        'coverage_2': np.nan if lost else float(np.mean(np.abs(errors) < 2 * spread)),
-        'log_evidence': np.nan if lost else track.log_evidence,
-        'mass': float(np.mean(track.masses)),
-        'step_s': float(np.nanmedian(track.seconds)),
-        **{name: float(np.mean(track.read[name])) for name in watched}}
+    errors, spread = np.abs(truth - means), np.sqrt(np.maximum(variances, 0.0))
+    lost = not np.all(np.isfinite(errors))
+    return {'rmse': distance(truth, means),
+            'coverage_1': np.nan if lost else float(np.mean(errors < spread)),
+            'coverage_2': np.nan if lost else float(np.mean(errors < 2 * spread))}

@@ -175,7 +175,7 @@ def paths_picture(record: Record, smoothed: Smoothed, drawn: PathSample, grid: G
     """Return some paths over the smoothed density of the first state, and its marginal halfway."""
     t, middle = np.array(drawn.stamps_ns) * _NANO, len(drawn.stamps_ns) // 2
     cells, edges = grid.select([0]), np.append(grid.axes[0], grid.upper[0]) - grid.spacing[0] / 2
-    film = np.array([belief.on(cells, [0]).density for belief in smoothed.beliefs])
+    film = np.array([belief.on(grid, [0]).density for belief in smoothed.beliefs])
     counted = drawn.marginal(drawn.stamps_ns[middle], Grid(
         cells.lower, cells.upper, (cells.shape[0] // 4,)), [0])
     with styled():

@@ -94,10 +94,11 @@ def _case_text(case: Mapping[str, Any]) -> str:
     lines += [[row['entry'] + _lost(row), row['setting'],
                *(_figure(name, row['figures'].get(name), case['median']) for name in scores)]
               for row in case['rows']]
-    met = sum(h['met'] for h in case['held'])
+    met = sum(h['verdict'] == 'held' for h in case['held'])
     held = [f'Held: {met} of {len(case["held"])} figures are what they are to be.', *(
-        f'- NOT held: {h["what"]}: {_bounds(h)}, got {_number(h["got"])}'
-        for h in case['held'] if not h['met'])] if case['held'] else []
+        f'- {h["verdict"]}: {h["what"]}: {_bounds(h)}, got {_number(h["got"])} ± '
+        f'{_number(h["error"])}' for h in case['held'] if h['verdict'] != 'held')]
+    held = held if case['held'] else []
     seeds = case['rows'][0]['seeds']
     return '\n'.join([
         f'### {case["name"]}: {case["title"]}\n', f'Printed: {case["printed"]}\n', _table(lines),

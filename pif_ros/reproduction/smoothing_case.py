@@ -9,7 +9,6 @@ from time import perf_counter
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
-from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
@@ -17,10 +16,10 @@ from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.path_monte_carlo import PathPosterior, PathSample, sample, SamplerSettings
 from pif_ros.core.smoothing import smooth, Smoothed
 from pif_ros.core.tracker import Measurement
-from pif_ros.reproduction.filtering import distance
+from pif_ros.reproduction.filtering import error_scores
 from pif_ros.reproduction.records import Record
 from pif_ros.reproduction.study import Entry, Expected, Outcome
-from pif_ros.reproduction.tracks import follow
+from pif_ros.reproduction.tracks import follow, sizes
 
 Array = NDArray[np.float64]
 
@@ -78,40 +77,27 @@ class SmoothingCase:
         """Return the scores of all three on the record of this seed."""
         record = self.draw(np.random.default_rng(seed))
         filter_ = DiracFeynmanFilter(self.model, self.grid, self.sensors, self.kernel)
-        prior = filter_.gaussian(self.mean, self.covariance)
+        prior, absolute = filter_.gaussian(self.mean, self.covariance), sizes(self.grid)
         measured = [Measurement(stamp, record.sensor, tuple(y.tolist()))
                     for stamp, y in zip(record.stamps_ns.tolist(), record.measured)]
-        track = follow(filter_, prior, record, absolute_moments, {})
+        track = follow(filter_, prior, record, absolute.moments, {})
         times = [perf_counter()]
         smoothed = smooth(filter_, prior, measured, 0)
         times.append(perf_counter())
         drawn = sample(PathPosterior(self.model, self.sensors, self.kernel, self.mean,
                                      self.covariance, measured, 0), self.sampler, seed)
         times.append(perf_counter())
-        moments = np.array([absolute_moments(belief) for belief in smoothed.beliefs[1:]])
-        absolute, square = drawn.average(np.abs), drawn.average(np.square)
-        means = absolute.mean[1:]
-        apart = (means - moments[:, 0]) / absolute.standard_error[1:]
+        moments = np.array([absolute.moments(belief) for belief in smoothed.beliefs[1:]])
+        average, square = drawn.average(np.abs), drawn.average(np.square)
+        means = average.mean[1:]
+        apart = (means - moments[:, 0]) / average.standard_error[1:]
         truth, (fast, slow) = np.abs(record.truth), np.diff(times)
         scores = {
-            FILTER.name: {**_scores(truth, track.means, track.variances),
+            FILTER.name: {**error_scores(truth, track.means, track.variances),
                           'start_s': float(track.seconds.sum())},
-            SMOOTHER.name: {**_scores(truth, moments[:, 0], moments[:, 1]), 'start_s': fast},
-            PATHS.name: {**_scores(truth, means, square.mean[1:] - means**2), 'start_s': slow,
+            SMOOTHER.name: {**error_scores(truth, moments[:, 0], moments[:, 1]), 'start_s': fast},
+            PATHS.name: {**error_scores(truth, means, square.mean[1:] - means**2), 'start_s': slow,
                          APART: float(np.sqrt(np.mean(apart**2))),
                          R_HAT: float(drawn.r_hat.max()),
                          SIZE: float(drawn.effective_sample_size.min())}}
         return Outcome(scores, SmoothedRecord(record, smoothed, drawn) if keep else None)
-
-
-def absolute_moments(belief: GridBelief) -> tuple[Array, Array]:
-    """Return the means of |x_i| and their variances, (n,) each."""
-    w, x = belief.density.ravel() / belief.density.sum(), np.abs(belief.grid.points)
-    mean = x @ w
-    return mean, (x - mean[:, None])**2 @ w
-
-
-def _scores(truth: Array, means: Array, variances: Array) -> dict[str, float]:
-    errors, spread = np.abs(truth - means), np.sqrt(variances)
-    return {'rmse': distance(truth, means), 'coverage_1': float(np.mean(errors < spread)),
-            'coverage_2': float(np.mean(errors < 2 * spread))}

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import Filter
+from pif_ros.core.grid import Grid
 from pif_ros.core.tracker import CorrectionFailed, Measurement, Tracker
 from pif_ros.reproduction.records import Record
 
@@ -92,7 +94,38 @@ def follow(filter_: Filter[Any], prior: Any, record: Record, moments: Moments,
                  {name: np.array(values) for name, values in read.items()}, fault)
 
 
+@dataclass(frozen=True, eq=False)
+class Estimand:
+    """
+    What is estimated of a state.
+
+    moments: returns means and variances (n,) of it from a belief; of: returns it from states
+    (K, n), of the same shape.
+    """
+
+    moments: Moments
+    of: Callable[[Array], Array]
+
+
 def moments(belief: Any) -> tuple[Array, Array]:
     """Return the mean of each state and its variance, (n,) each."""
     mean = belief.mean()
     return mean, np.diag(belief.covariance(mean))
+
+
+def sizes(cells: Grid) -> Estimand:
+    """Return the sizes |x_i| as what is estimated, read on the cells of a grid."""
+    def read(belief: Any) -> tuple[Array, Array]:
+        found = [_absolute(belief.on(cells, [axis])) for axis in range(cells.ndim)]
+        return np.array([mean for mean, _ in found]), np.array([variance for _, variance in found])
+    return Estimand(read, np.abs)
+
+
+def _absolute(density: GridBelief) -> tuple[float, float]:
+    x, p = np.abs(density.grid.axes[0]), density.density / density.density.sum()
+    mean = float(x @ p)
+    return mean, float((x - mean)**2 @ p)
+
+
+#: The states themselves.
+STATES = Estimand(moments, np.asarray)

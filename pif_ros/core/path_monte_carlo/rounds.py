@@ -31,8 +31,8 @@ class Round:
     Paths (n, N + 1, K chains) after a round, those of the whole likelihood first.
 
     acceptance: of Hamiltonian moves, (K,); changed: share of the chains in which the particle
-    move changed the state, (N + 1,); exchanged: share of exchanges accepted, (K - 1,); NaN where
-    there were none.
+    move changed the state, (N + 1,); exchanged: of the exchanges, (K - 1,); NaN where there were
+    none.
     """
 
     paths: Array
@@ -43,26 +43,24 @@ class Round:
 
 def advanced(posterior: PathPosterior, settings: SamplerSettings, paths: Array, tuning: Tuning,
              number: int, rng: Generator) -> Round:
-    """Return the paths after the number-th round: particles, Hamiltonian moves, an exchange."""
-    count = len(tuning.shares)
-    changed, acceptance = np.full(paths.shape[1], np.nan), np.full((1, count), np.nan)
+    """Return the paths after the number-th round: particles, then moves and exchanges in turns."""
+    count, chains = len(tuning.shares), settings.chains
+    changed = np.full(paths.shape[1], np.nan)
     if settings.particles:
-        before = paths[..., :settings.chains]
-        after = particles.renewed(posterior, before, settings.particles, rng)
-        changed = np.any(after != before, axis=0).mean(axis=1)
-        paths = np.concatenate([after, paths[..., settings.chains:]], axis=2)
-    if settings.moves:
-        acceptance = np.empty((settings.moves, count))
-    for k in range(settings.moves):
+        after = particles.renewed(posterior, paths[..., :chains], settings.particles, rng)
+        changed = np.any(after != paths[..., :chains], axis=0).mean(axis=1)
+        paths = np.concatenate([after, paths[..., chains:]], axis=2)
+    accepted, exchanged = [np.full(count, np.nan)], [np.full(count - 1, np.nan)]
+    for k in range(number * settings.moves, (number + 1) * settings.moves):
         # of random length, since one of fixed length may come back to where it began
         leaps = math.ceil(rng.uniform(0, settings.travel) / tuning.steps.mean())
         moved = hamiltonian.move(posterior, paths, tuning, min(max(leaps, 1), LEAPS), rng)
-        paths, acceptance[k] = moved.paths, moved.acceptance.reshape(count, -1).mean(axis=1)
-    exchange = tempering.exchange(posterior.log_likelihood(paths).reshape(count, -1),
-                                  tuning.shares, bool(number % 2), rng)
-    order = exchange.order * settings.chains + np.arange(settings.chains)
-    return Round(paths[..., order.ravel()], acceptance.mean(axis=0), changed,
-                 exchange.acceptance)
+        accepted.append(moved.acceptance.reshape(count, -1).mean(axis=1))
+        exchange = tempering.exchange(posterior.log_likelihood(moved.paths).reshape(count, -1),
+                                      tuning.shares, bool(k % 2), rng)
+        exchanged.append(exchange.acceptance)
+        paths = moved.paths[..., (exchange.order * chains + np.arange(chains)).ravel()]
+    return Round(paths, _mean(accepted), changed, _mean(exchanged))
 
 
 def warmed_up(posterior: PathPosterior, settings: SamplerSettings, rng: Generator,
@@ -109,7 +107,13 @@ def _masses(learned: list[Curvatures]) -> tuple[Precision, ...]:
 
 
 def _respaced(shares: Array, exchanged: list[Array]) -> Array:
-    tried = np.array(exchanged)
-    if len(shares) < 3 or np.any(np.all(np.isnan(tried), axis=0)):
-        return shares
-    return tempering.respaced(shares, np.nanmean(tried, axis=0))
+    acceptance = _mean(exchanged)
+    known = len(shares) > 2 and np.all(np.isfinite(acceptance))
+    return tempering.respaced(shares, acceptance) if known else shares
+
+
+def _mean(values: list[Array]) -> Array:
+    """Return the mean of arrays, number by number, over those that are not NaN."""
+    known = np.isfinite(values)
+    with np.errstate(invalid='ignore'):
+        return np.asarray(np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0))

@@ -15,8 +15,8 @@ class SamplerSettings:
     step and the preconditioner are adapted; particles: of the particle move that each round
     begins with, 0 for none; moves: Hamiltonian moves after it, 0 for none; travel: the longest of
     them, in widths of the posterior; temperatures: with more than 1, each chain is accompanied by
-    others that feel only a share of the log likelihood, down to least_share, and exchange paths
-    with it; thinning: rounds per draw.  Raises ValueError for what draws nothing.
+    others that feel only a share of the log likelihood, down to least_share, and after each move
+    they may exchange paths; thinning: rounds per draw.  Raises ValueError for what draws nothing.
 
     Particles change humps where states are few, however long the window; temperatures where
     states are many and the window is short.

@@ -67,7 +67,7 @@ REMARKS = [
     'The pre-measurement form as printed is read before the last increment is used; DFY pre is '
     'the same, read after it.',
     'The symmetric scheme takes half of the likelihood of an increment before the step and half '
-    'after it.  The printed forms take h dy at one end of the step and h^2 in its middle, and that '
+    'after it.  The printed forms take h dy at one end of the step and h^2 in its middle, which '
     'shows where the noise is small.',
     'The paper is silent on the start: x(0) is drawn from N(0, 0.01).']
 

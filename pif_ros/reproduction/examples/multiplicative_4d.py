@@ -75,6 +75,8 @@ def _cube(box: float, cells: int) -> Grid:
 
 def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
     """Return Figures 13 and 14."""
-    return {f'estimates_{sensor}.png': band_picture(
-        exhibits[name].record, {who: exhibits[name].tracks[who] for who in (PRINTED, BEST, OPTIMUM)}, LABELS)
-        for sensor, name in NAMES.items()}
+    pictures = {}
+    for sensor, name in NAMES.items():
+        tracks = {who: exhibits[name].tracks[who] for who in (PRINTED, BEST, OPTIMUM)}
+        pictures[f'estimates_{sensor}.png'] = band_picture(exhibits[name].record, tracks, LABELS)
+    return pictures

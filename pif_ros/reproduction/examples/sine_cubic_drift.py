@@ -9,7 +9,6 @@ from typing import Any
 from matplotlib.figure import Figure
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.systems import sine_cubic_drift
@@ -19,11 +18,9 @@ from pif_ros.reproduction.pictures import (cloud_picture, error_picture, intensi
                                            path_picture)
 from pif_ros.reproduction.records import Record, recorded
 from pif_ros.reproduction.study import Expected
-from pif_ros.reproduction.tracks import Reading
+from pif_ros.reproduction.tracks import Reading, sizes
 
 TITLE, SOURCE = 'A state whose sign no sensor sees', 'TM, Example 4'
-
-Array = NDArray[np.float64]
 
 STEP, BOX = 0.01, 20.0
 COARSE, FINE = (Grid((-BOX,), (BOX,), (cells,)) for cells in (160, 800))
@@ -59,16 +56,8 @@ def cases(quick: bool, scratch: str) -> list[FilteringCase]:
             problem.particles('SIR, more', '', 1000, STEP),
             problem.extended(STEP), problem.unscented(STEP),
             problem.particles(OPTIMUM, 'optimum', 2_000 if quick else 30_000, STEP / 2)),
-        EXPECTED, REMARKS, moments=absolute_moments, transform=np.abs,
+        EXPECTED, REMARKS, estimand=sizes(READ),
         watched={'both signs alive': Reading(both_signs)})]
-
-
-def absolute_moments(belief: Any) -> tuple[Array, Array]:
-    """Return mean and variance of |x|, which the sensor sees, shape (1,) each."""
-    density = belief.on(READ, [0])
-    x, p = np.abs(density.grid.axes[0]), density.density / density.density.sum()
-    mean = x @ p
-    return np.array([mean]), np.array([(x - mean)**2 @ p])
 
 
 def both_signs(belief: Any) -> float:
