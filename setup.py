@@ -63,6 +63,7 @@ setup(
             'simulate = pif_ros.simulate:main',
             'plaza_player = pif_ros.plaza.player:main',
             'plaza_demo = pif_ros.plaza.demo:main',
+            'reproduce = pif_ros.reproduction.main:main',
         ],
     },
 )

@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 #: Paths that are drawn before it is given up that one stays on the grid.
 ATTEMPTS = 100
+#: Numbers that a truth, with its substeps, may have.
+MOST_NUMBERS = 2e8
 #: The stamp at which a simulation begins on a clock of its own; 0 would be none.
 BEGIN_NS = NANOSECONDS
 
@@ -89,9 +91,14 @@ def scenario(config: Config, settings: Settings) -> Scenario:
     """
     filter_ = build_tracker(config).filter
     interval_ns = _interval_ns(config, settings)
-    count = math.floor(settings.duration * NANOSECONDS / interval_ns) + 1
+    count = math.floor(min(settings.duration * NANOSECONDS / interval_ns, 1e18)) + 1
+    substeps = math.ceil(interval_ns * settings.substeps
+                         / (config.kernel.time_step * NANOSECONDS))
+    if count * substeps * filter_.model.ndim > MOST_NUMBERS:
+        raise ConfigError('duration: expected a truth of at most '
+                          f'{MOST_NUMBERS:.0e} numbers, got one of '
+                          f'{float(count) * substeps * filter_.model.ndim:.0e}')
     elapsed_ns = interval_ns * np.arange(count)
-    substeps = math.ceil(interval_ns * settings.substeps / filter_.time_step_ns)
     fine = refined((BEGIN_NS + elapsed_ns) / NANOSECONDS, substeps)
     of_truth, *of_sources = np.random.default_rng(settings.seed).spawn(1 + len(filter_.sensors))
     truth = _truth(config, settings, filter_.model, fine, of_truth)
@@ -141,6 +148,9 @@ def _truth(config: Config, settings: Settings, model: StateModel, times: Array,
             return simulate_inside(model, lambda generator: start or drawn(config, generator),
                                    times, rng, lower, upper, attempts=ATTEMPTS)
     except RuntimeError:
+        if not settings.inside:
+            raise ConfigError('substeps: expected more, since the simulated path does not stay '
+                              f'finite, got {settings.substeps}') from None
         raise ConfigError('duration: expected a truth that stays on the grid for so long, got '
                           f'none of {ATTEMPTS} that does for {settings.duration:g} s (inside: '
                           'false lets it leave)') from None

@@ -120,7 +120,11 @@ class Simulator(Node):
     def _outlet(self, topic: str, sources: Mapping[str, SourceConfig], qos: QoSProfile) -> Outlet:
         """Return the topic of some sources; several of one topic share its message."""
         writers, message = {}, None
+        first = next(iter(sources.values()))
         for name, source in sources.items():
+            if source.type != first.type:
+                raise ConfigError(f'measurements.{name}.type: expected {first.type!r}, as all on '
+                                  f'topic {topic!r}, got {source.type!r}')
             try:
                 message = conversions.message_class(source.type)
             except ValueError as error:
@@ -133,9 +137,6 @@ class Simulator(Node):
             if self.settings.speed == 0.0 and not conversions.has_header(message):
                 raise ConfigError('speed: expected one above 0 where messages bear no stamp '
                                   f'({source.type}), got 0.0')
-        if len({source.type for source in sources.values()}) > 1:
-            raise ConfigError(f'measurements.{name}.type: expected one type for all on topic '
-                              f'{topic!r}, got {source.type!r}')
         return Outlet(self.create_publisher(message, topic, qos), message, writers)
 
     def _on_pose(self, msg: PoseWithCovarianceStamped) -> None:

@@ -77,8 +77,10 @@ WRONG = [
     # filters and operators
     wrong('kernel.s', 0.5 + 1, '0 to 1', '-1'),
     wrong('filter.significance', 1.0, 'below 1'),
-    wrong('filter.resample_below', 1.5, '0 to 1', of={**SMALL, 'filter.type': 'particle'}),
-    wrong('filter.seed', -1, '0 to', of={**SMALL, 'filter.type': 'particle'}),
+    wrong('filter.resample_below', 1.5, '0 to 1'),
+    wrong('filter.seed', -1, '0 or more'),
+    wrong('kernel.noise_inflation', 1.0, 'ekf', of={**SMALL, 'filter.type': 'ekf'}),
+    wrong('kernel.extent', 2, 'particle', of={**SMALL, 'filter.type': 'particle'}),
     wrong('filter.particles', 0, '1 to'),
     wrong('operator.steps', 2000, '1 to 1000'),
     wrong('operator.level', 40, '1 to', of={**SMALL, 'operator.wavelet': 'db4'}),

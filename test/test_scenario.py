@@ -52,6 +52,11 @@ def test_the_truth_is_the_same_whatever_is_measured_of_it():
     assert abs(np.corrcoef(errors, two.measurements['main'][:, 0] - two.truth[:, 0])[0, 1]) < 0.9
 
 
+def test_the_truth_is_the_same_however_the_filter_saves_its_work():
+    one, two = played(), played({**LINE, 'operator.steps': 10})
+    assert one.truth.tobytes() == two.truth.tobytes()
+
+
 def test_a_simulation_has_a_measurement_at_its_beginning_and_at_each_interval():
     simulation = played(rate=8.0, duration=2.6)
     assert simulation.elapsed_ns.tolist() == [125_000_000 * k for k in range(21)]

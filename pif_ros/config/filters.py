@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from pif_ros.config.kinds import ConfigError, named
-from pif_ros.config.table import Config, OperatorConfig
+from pif_ros.config.table import Config
 from pif_ros.core.continuous import (DiracFeynmanYauFilter, ExtendedKalmanBucyFilter,
                                      PathBelief)
 from pif_ros.core.filters import DiracFeynmanFilter, Filter
@@ -52,7 +52,7 @@ def make_filter(config: Config, model: StateModel, grid: Grid,
             return DiracFeynmanYauFilter(model, grid, sensors, settings, config.filter.scheme,
                                          config.filter.average_cells)
         if kind == 'particle':
-            _check_cloud(config, model)
+            _check_cloud_memory(config, model)
             return ParticleFilter(model, sensors, settings.time_step, grid,
                                   config.filter.particles, config.filter.seed,
                                   config.filter.resample_below)
@@ -68,13 +68,13 @@ def describe(config: Config, filter_: Filter[Any]) -> str:
     try:
         return filter_.describe()
     except (ValueError, OSError, ImportError) as error:
-        text = ' '.join(str(error).split())
+        text = str(error)
         known = {f'{field.name}: ': section
                  for section, settings in (('kernel', KernelSettings),
                                            ('operator', OperatorSettings))
                  for field in dataclasses.fields(settings)}
         section = next((known[start] for start in known if text.startswith(start)), None)
-        file = os.path.expanduser(config.operator.file)
+        file = _file(config)
         if isinstance(error, OSError):
             raise ConfigError('operator.file: expected a file that can be read or made, '
                               f'got {file!r} ({error.strerror})') from None
@@ -102,24 +102,33 @@ def _settings(config: Config) -> KernelSettings:
 
 def _operator(config: Config, model: StateModel) -> OperatorSettings:
     how = config.operator
-    if model.changes_with_time and how != OperatorConfig():
-        raise ConfigError('operator: expected its defaults where the model changes with time, '
-                          f'got {how}')
+    if model.changes_with_time:
+        _expect_defaults('operator', how, 'where the model changes with time')
     with named('operator'):
-        return OperatorSettings(how.steps, os.path.expanduser(how.file), how.wavelet, how.level,
-                                how.threshold)
+        return OperatorSettings(how.steps, _file(config), how.wavelet, how.level, how.threshold)
+
+
+def _file(config: Config) -> str:
+    """Return where the kernel is kept, as a path that is written in one way only."""
+    return str(Path(config.operator.file).expanduser()) if config.operator.file else ''
 
 
 def _refuse_what_is_not_used(config: Config, kind: str) -> None:
-    """Refuse strategies of the plain filter that another would leave out without a word."""
-    for field in dataclasses.fields(OperatorConfig):
-        given = getattr(config.operator, field.name)
-        if given != field.default:
-            raise ConfigError(f'operator.{field.name}: expected {field.default!r} with '
-                              f'filter.type {kind!r}, got {given!r}')
-    if config.filter.significance:
-        raise ConfigError(f'filter.significance: expected 0 with filter.type {kind!r}, '
-                          f'got {config.filter.significance}')
+    """Refuse what is another filter's, and would be left out without a word."""
+    why = f'with filter.type {kind!r}'
+    _expect_defaults('operator', config.operator, why)
+    _expect_defaults('filter', config.filter, why, 'significance')
+    if kind != 'dfy':
+        _expect_defaults('kernel', config.kernel, why, 'extent', 'noise_inflation')
+
+
+def _expect_defaults(section: str, settings: Any, why: str, *names: str) -> None:
+    """Raise ConfigError where one of some settings (of all where none is named) was changed."""
+    for field in dataclasses.fields(settings):
+        given = getattr(settings, field.name)
+        if given != field.default and (not names or field.name in names):
+            raise ConfigError(f'{section}.{field.name}: expected {field.default!r} {why}, '
+                              f'got {given!r}')
 
 
 def _check_grid_memory(model: StateModel, grid: Grid, settings: KernelSettings) -> None:
@@ -132,11 +141,8 @@ def _check_grid_memory(model: StateModel, grid: Grid, settings: KernelSettings) 
     _check('grid.shape: expected a grid whose kernel fits', where, needed, fits)
 
 
-def _check_cloud(config: Config, model: StateModel) -> None:
-    """Refuse more particles than fit, and a share that is none."""
-    if config.filter.resample_below > 1:
-        raise ConfigError('filter.resample_below: expected a share from 0 to 1, '
-                          f'got {config.filter.resample_below}')
+def _check_cloud_memory(config: Config, model: StateModel) -> None:
+    """Refuse more particles than fit."""
     needed = 8.0 * ARRAYS_PER_CLOUD * (model.ndim + 1) * config.filter.particles
     _check('filter.particles: expected so many that they fit', config.filter.particles, needed)
 

@@ -58,6 +58,34 @@ def _count(value: Value) -> int:
     return number
 
 
+def _share(value: Value) -> float:
+    number = _number(value)
+    if not 0 <= number <= 1:
+        raise ValueError
+    return number
+
+
+def _part(value: Value) -> float:
+    number = _share(value)
+    if number == 1:
+        raise ValueError
+    return number
+
+
+def _seed(value: Value) -> int:
+    number = _integer(value)
+    if not 0 <= number < 2**63:
+        raise ValueError
+    return number
+
+
+def _steps(value: Value) -> int:
+    number = _count(value)
+    if number > 1000:
+        raise ValueError
+    return number
+
+
 def _frequency(value: Value) -> float:
     number = _number(value)
     if number and not 0.001 <= number <= 1000:
@@ -112,6 +140,8 @@ NUMBER, INTEGER = Kind('a finite number', _number), Kind('a whole number', _inte
 POSITIVE = Kind('a positive number', _positive)
 NOT_NEGATIVE = Kind('a number, 0 or more', _not_negative)
 COUNT = Kind('a whole number, 1 to 1000000', _count)
+SHARE, PART = Kind('a number from 0 to 1', _share), Kind('a number from 0 to below 1', _part)
+SEED, STEPS = Kind('a whole number, 0 or more', _seed), Kind('a whole number, 1 to 1000', _steps)
 DURATION = Kind('a number from 0 to 1e9', _duration)
 FREQUENCY = Kind('0, or a number from 0.001 to 1000', _frequency)
 BOOL, TEXT, NAME = Kind('true or false', _bool), Kind('text', _text), Kind('a name', _name)

@@ -17,7 +17,8 @@ from typing import Any
 
 from pif_ros.config.kinds import (BOOL, BOOLS, ConfigError, COUNT, DURATION, FREQUENCY, INTEGER,
                                   INTEGERS, NAME, NAMES, NOT_NEGATIVE, NUMBER, NUMBERS, one_of,
-                                  parameter, POSITIVE, taken, TEXT, Value)
+                                  parameter, PART, POSITIVE, SEED, SHARE, STEPS, taken, TEXT,
+                                  Value)
 from pif_ros.core.continuous import SCHEMES
 import yaml
 
@@ -68,14 +69,14 @@ class FilterConfig:
     average_cells: bool = parameter(True, BOOL, 'df, dfy: average a likelihood that is narrower '
                                     'than a cell over the cell, instead of taking it at the '
                                     'centre')
-    significance: float = parameter(0.0, NOT_NEGATIVE, 'df: correct only cells with more than '
+    significance: float = parameter(0.0, PART, 'df: correct only cells with more than '
                                     "this share of the densest one's density, and empty the "
                                     'others; 0: all')
     scheme: str = parameter('symmetric', one_of(*SCHEMES), "dfy: how the path's increments and "
                             'the steps are put together')
     particles: int = parameter(5000, COUNT, 'particle: how many')
-    seed: int = parameter(0, INTEGER, 'particle: what its random numbers start from')
-    resample_below: float = parameter(0.5, NOT_NEGATIVE, 'particle: effective size, as a share of '
+    seed: int = parameter(0, SEED, 'particle: what its random numbers start from')
+    resample_below: float = parameter(0.5, SHARE, 'particle: effective size, as a share of '
                                       'the particles, below which they are resampled')
 
 
@@ -104,13 +105,13 @@ class KernelConfig:
 class OperatorConfig:
     """What saves work with a kernel."""
 
-    steps: int = parameter(1, COUNT, 'df: kernel steps that are composed into one operator')
+    steps: int = parameter(1, STEPS, 'df: kernel steps that are composed into one operator')
     file: str = parameter('', TEXT, 'df: where the kernel is kept: loaded if it is there, made '
                           'and saved if not; it serves any sensor; empty: nowhere')
     wavelet: str = parameter('', TEXT, 'df: wavelet of PyWavelets in whose basis the operator is '
                              'applied, such as `sym8`; empty: none')
     level: int = parameter(2, COUNT, 'df: how often that basis is halved')
-    threshold: float = parameter(1e-4, NOT_NEGATIVE, 'df: elements below it are left out in that '
+    threshold: float = parameter(1e-4, PART, 'df: elements below it are left out in that '
                                  'basis')
 
 

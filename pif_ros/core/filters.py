@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cached_property, lru_cache
-import math
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import (kernel_of, KernelSettings, Operator, operator_of,
-                                  OperatorSettings)
+                                  OperatorSettings, stored_elements)
 from pif_ros.core.likelihood import GridLikelihood
 from pif_ros.core.models import Sensor, StateModel
 from scipy import sparse
@@ -26,8 +26,8 @@ NANOSECONDS = 1_000_000_000
 NEGLIGIBLE = 1e-290
 #: An evidence below this share of the largest likelihood may have lost digits to underflow.
 UNSAFE = 1e-200
-#: Kernels that are kept at most, of a model that changes with time.
-MOST_KERNELS = 1000
+#: What the kernels of a model that changes with time may take together.
+KEPT_BYTES = 5e8
 
 
 class Filter(Protocol[Belief]):
@@ -181,8 +181,9 @@ class DiracFeynmanFilter:
         """Return the kernel of the step that starts at a stamp."""
         if not self.model.changes_with_time:
             return self._kernels(0)
-        period_ns = round(self.model.period * NANOSECONDS)
-        return self._kernels(t_ns % period_ns if period_ns else t_ns)
+        period_ns = self._period_ns
+        # exactly, since a period that is rounded drifts away over many
+        return self._kernels(round(t_ns % period_ns) if period_ns else t_ns)
 
     def operator_at(self, t_ns: int) -> Operator:
         """Return the operator of the time_step_ns that start at a stamp."""
@@ -216,13 +217,19 @@ class DiracFeynmanFilter:
     def _kernels(self) -> Callable[[int], sparse.csr_array]:
         # a model that changes with time comes back to the same stamps when it replays, and to
         # the same phases of its period
-        phases = math.ceil(self.model.period * NANOSECONDS / self._kernel_ns)
-        return lru_cache(maxsize=min(max(16, phases), MOST_KERNELS))(lambda t_ns: kernel_of(
+        phases = self._period_ns / self._kernel_ns
+        most = KEPT_BYTES / (12 * stored_elements(self.model, self.grid, self.kernel))
+        count = max(16, phases if phases.denominator == 1 else 0)
+        return lru_cache(maxsize=max(2, int(min(count, most))))(lambda t_ns: kernel_of(
             self.model, self.grid, self.kernel, self.operator, t_ns / NANOSECONDS))
 
     @cached_property
     def _whole_operator(self) -> Operator:
         return operator_of(self.kernel_at(0), self.grid, self.kernel, self.operator)
+
+    @cached_property
+    def _period_ns(self) -> Fraction:
+        return Fraction(self.model.period) * NANOSECONDS
 
     @property
     def _kernel_ns(self) -> int:

@@ -60,6 +60,7 @@ class FilteringCase:
     expected: Sequence[Expected] = ()
     remarks: Sequence[str] = ()
     median: bool = False
+    covered: str = ''
     estimand: Estimand = STATES
     also: Mapping[str, Estimand] = field(default_factory=dict)
     every: int = 1

@@ -23,7 +23,7 @@ def fokker_planck(model: StateModel, grid: Grid, starts: Sequence[float],
     fluxes (Scharfetter and Gummel 1969), second order in the cell, and the exponential of that
     matrix, exact in time.  No mass leaves the grid.
     """
-    p = np.stack([point(grid, x) for x in starts], axis=1)
+    p = np.stack([sharp_point(grid, x) for x in starts], axis=1)
     moved: Array = expm_multiply(generator(model, grid) * seconds, p)
     return moved.T
 
@@ -44,6 +44,19 @@ def point(grid: Grid, x: float) -> Array:
     low = int(np.floor(where))
     p = np.zeros(grid.size)
     p[low:low + 2] = low + 1 - where, where - low
+    return p / grid.cell_volume
+
+
+def sharp_point(grid: Grid, x: float) -> Array:
+    """
+    Return the density (size,) of a state that is known, with its variance, 0, as well.
+
+    Three cells, of which one is below 0: for what is linear, and not for a belief.
+    """
+    where = (x - grid.axes[0][0]) / grid.spacing[0]
+    nearest = round(where)
+    d, p = where - nearest, np.zeros(grid.size)
+    p[nearest - 1:nearest + 2] = d * (d - 1) / 2, 1 - d * d, d * (d + 1) / 2
     return p / grid.cell_volume
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Collection, Sequence
-from contextlib import AbstractContextManager
 import os
 from pathlib import Path
 import sys
@@ -15,11 +14,15 @@ _NAME = 'reproduce'
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run it: 0 if all went well, 1 where a figure is missed, 2 at bad arguments."""
+    """Run it: 0 if all went well, 1 where a figure is missed, 2 at bad arguments, 130 stopped."""
     os.environ.setdefault('OMP_NUM_THREADS', '1')
-    # imported here, so that the libraries below find that they have one thread each
-    from pif_ros.reproduction.catalogue import EXAMPLES, find
     wanted = _arguments(args)
+    try:
+        # imported here, so that the libraries below find that they have one thread each
+        from pif_ros.reproduction.catalogue import EXAMPLES, find
+        from pif_ros.reproduction.runner import cluster, local
+    except ModuleNotFoundError as error:
+        return failed(_NAME, f'expected joblib and tqdm to be installed, got {error}', 2)
     if wanted.list:
         for name in EXAMPLES:
             print(f'{name}: {find(name).TITLE} [{find(name).SOURCE}]')
@@ -27,10 +30,14 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         _check(wanted, EXAMPLES)
         wanted.out.mkdir(parents=True, exist_ok=True)
+        workers = local(wanted.jobs) if wanted.backend == 'local' else cluster(wanted.scheduler)
     except (ValueError, OSError) as error:
         return failed(_NAME, str(error), 2)
-    with _backend(wanted):
-        return _run(wanted, list(EXAMPLES) if wanted.all else wanted.examples)
+    try:
+        with workers:
+            return _run(wanted, list(EXAMPLES) if wanted.all else wanted.examples)
+    except KeyboardInterrupt:
+        return failed(_NAME, 'stopped', 130)
 
 
 def _run(wanted: argparse.Namespace, names: Sequence[str]) -> int:
@@ -85,13 +92,6 @@ def _check(wanted: argparse.Namespace, known: Collection[str]) -> None:
     if (wanted.backend == 'dask') != bool(wanted.scheduler):
         raise ValueError('--scheduler: expected the address of a scheduler with --backend dask, '
                          f'got {wanted.scheduler!r} with --backend {wanted.backend}')
-
-
-def _backend(wanted: argparse.Namespace) -> AbstractContextManager[None]:
-    from pif_ros.reproduction import runner
-    if wanted.backend == 'local':
-        return runner.local(wanted.jobs)
-    return runner.dask(wanted.scheduler)
 
 
 if __name__ == '__main__':

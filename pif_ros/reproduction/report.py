@@ -17,7 +17,7 @@ from pif_ros.reproduction.study import COLUMNS
 PACKAGES = ('pif_ros', 'numpy', 'scipy', 'joblib', 'matplotlib')
 RESULTS, TABLE = 'results.json', 'table.md'
 #: Goes up with what a chapter holds.
-FORMAT = 1
+FORMAT = 2
 
 #: A chapter is what results.json of an example holds, a tree of plain values.
 Chapter = Mapping[str, Any]

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from joblib import delayed, Parallel, parallel_config
 from pif_ros.reproduction.catalogue import find, run
 from pif_ros.reproduction.study import Outcome
 from tqdm import tqdm
+
+#: Seconds for a scheduler to answer.
+CONNECT = 10.0
 
 
 def outcomes(name: str, seeds: Sequence[int], quick: bool) -> list[list[Outcome]]:
@@ -36,9 +40,20 @@ def local(jobs: int) -> Iterator[None]:
         yield
 
 
+def cluster(scheduler: str) -> AbstractContextManager[None]:
+    """
+    Take the workers of a Dask cluster, which have this package too.
+
+    Raises ValueError where there is no Dask, OSError where there is no scheduler.
+    """
+    try:
+        from dask.distributed import Client
+    except ModuleNotFoundError as error:
+        raise ValueError(f'--backend: expected dask.distributed to be installed, got {error}')
+    return _of_client(Client(scheduler, timeout=CONNECT))
+
+
 @contextmanager
-def dask(scheduler: str) -> Iterator[None]:
-    """Take the workers of a Dask cluster, which have this package too."""
-    from dask.distributed import Client
-    with Client(scheduler), parallel_config(backend='dask'):
+def _of_client(client: Any) -> Iterator[None]:
+    with client, parallel_config(backend='dask'):
         yield

@@ -61,6 +61,7 @@ class SmoothingCase:
     draw: Callable[[Generator], Record]
     remarks: Sequence[str] = ()
     median: bool = False
+    covered: str = ''
 
     @property
     def entries(self) -> Sequence[Entry]:

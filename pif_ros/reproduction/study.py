@@ -53,12 +53,7 @@ class Outcome:
 
 
 class Case(Protocol):
-    """
-    One setting of an example, that can be run for any seed.
-
-    name: unique among all cases; printed: what the paper prints of it; remarks: what a reader of
-    the table must know; median: whether the medians over the seeds are the fairer figure.
-    """
+    """One setting of an example, that can be run for any seed."""
 
     @property
     def name(self) -> str:
@@ -87,6 +82,10 @@ class Case(Protocol):
     @property
     def median(self) -> bool:
         """Return whether medians over the seeds are the fairer figure."""
+
+    @property
+    def covered(self) -> str:
+        """Return the suffix of the coverages that are held against the optimum's."""
 
     def run(self, seed: int, keep: bool) -> Outcome:
         """Return the scores of a seed, and an exhibit where it is to be kept."""

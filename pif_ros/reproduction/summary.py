@@ -128,7 +128,7 @@ def _against_the_optimum(case: Case, found: Sequence[Row]) -> Iterator[Held]:
             yield Held.to(f"{word}{score} of {best.entry} over the optimum's",
                           lambda both: float(digest(both[:, 0]) / digest(both[:, 1])), both,
                           None, 1 + ERROR_WITHIN)
-        elif score.startswith('coverage'):
+        elif score in (f'coverage_1{case.covered}', f'coverage_2{case.covered}'):
             yield Held.to(f"{score} of {best.entry} less the optimum's",
                           lambda both: float(np.nanmean(both[:, 0] - both[:, 1])), both,
                           -COVERAGE_WITHIN, COVERAGE_WITHIN)

@@ -197,6 +197,16 @@ def test_the_kernels_of_a_period_are_made_once():
         replace(model, period=-1)
 
 
+def test_a_period_that_is_no_whole_number_of_nanoseconds_does_not_drift_away():
+    model = StateModel(('x',), lambda x, t: np.cos(t) - x, np.eye(1), time_dependent=True)
+    grid, now = Grid((-4,), (4,), (80,)), 1_700_000_000 * SECOND
+    start = GridBelief.gaussian(grid, [0.3], [[0.5]])
+    means = [DiracFeynmanFilter(replace(model, period=period), grid, {}, KernelSettings(0.05))
+             .predict(start, now, now + SECOND).mean()[0] for period in (0.0, 2 * np.pi)]
+    # a double holds 2 pi to 4e-16, which is 1e-7 s after all these periods
+    assert means[1] == pytest.approx(means[0], abs=1e-6)
+
+
 # Predict
 
 

@@ -241,6 +241,26 @@ def test_noise_that_vanishes_somewhere_is_sampled_where_it_is_wide_and_kept_wher
     assert kernel[150, 150] == pytest.approx(1.0)
 
 
+def test_inflated_noise_keeps_the_drift_that_comes_of_the_sense_of_the_models_own():
+    model, eps = geometric(0.0, 1.0, s=0.5), 0.01
+    grid = Grid((0.0,), (10.0,), (200,))
+    x = grid.points[0]
+    kernel = dirac_feynman(model, grid, KernelSettings(eps, 0.0, noise_inflation=1.0))
+    move = (kernel.T @ x - x)[20:150]
+    # s sigma^2 x eps; thin weights are exact in the mean
+    assert_allclose(move, 0.5 * x[20:150] * eps, rtol=1e-6)
+
+
+def test_a_vielbein_that_is_not_finite_is_refused_by_name():
+    model = StateModel(('x',), lambda x, t: 1 - x,
+                       lambda x, t: np.sqrt(x)[:, None], multiplicative=True)
+    grid = Grid((-1.0,), (3.0,), (40,))
+    for s in (0.0, 0.5):
+        with pytest.raises(ValueError, match='^vielbein: expected finite numbers'), \
+                np.errstate(invalid='ignore'):
+            dirac_feynman(replace(model, s=s), grid, KernelSettings(0.01))
+
+
 # The model's own derivatives
 
 def test_derivatives_that_a_model_gives_make_the_kernel_that_differences_make():

@@ -163,6 +163,13 @@ def test_foreign_files_are_refused_by_their_first_bytes(file, content):
     assert 'expected a stored kernel, got a file that begins with' in refusal(file)
 
 
+def test_a_drift_that_is_steep_in_a_corner_hides_no_change_where_the_mass_is():
+    marks = {fingerprint(StateModel(
+        ('x',), lambda x, t, a=a: a * np.sin(x) - np.sinh(2 * x), np.eye(1)),
+        Grid((-12,), (12,), (240,)), KernelSettings(0.01)) for a in (1.0, 1.3)}
+    assert len(marks) == 2
+
+
 def test_another_kernel_is_refused_with_both_names(file):
     other = 'cd' * 32
     assert refusal(file, other).endswith(

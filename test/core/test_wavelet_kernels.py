@@ -226,5 +226,5 @@ def test_refuses_what_is_no_threshold(threshold):
 
 def test_names_the_package_that_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, 'pywt', None)
-    with pytest.raises(ImportError, match='^wavelets: expected the package PyWavelets, .* got'):
+    with pytest.raises(ImportError, match='^wavelet: expected the package PyWavelets, .* got'):
         WaveletKernel.make(plane_kernel(1), PLANE)

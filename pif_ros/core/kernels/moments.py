@@ -36,12 +36,18 @@ def step_moments(model: StateModel, x: Array, spacing: Array, settings: KernelSe
     A^-1 eps g A^-T, A = 1 - r eps df/dx.  Where that says nothing, since A is nearly singular,
     Newton's iteration does not settle, or A changes much within a cell, the moments are an Euler
     step's.  Multiplicative noise adds what its sense does to the mean, and where it changes much
-    within its own step that says nothing too.  Raises ValueError for a drift that is not finite.
+    within its own step that says nothing too.  Raises ValueError for a drift or a vielbein that
+    is not finite.
     """
     r, eps = settings.r, settings.time_step
     tau, n = t + r * eps, len(x)
     g = eps * model.diffusion_at(x, tau)
     euler = eps * model.ito_drift(x, tau)
+    without = ~np.all(np.isfinite(g), axis=(0, 1))
+    if without.any():
+        at = x[:, np.argmax(without)].tolist()
+        raise ValueError('vielbein: expected finite numbers in every cell, got '
+                         f'{model.vielbein_at(x, tau)[..., np.argmax(without)].tolist()} at {at}')
     undefined = ~np.all(np.isfinite(euler), axis=0)
     if undefined.any():
         at = x[:, np.argmax(undefined)]

@@ -45,6 +45,7 @@ def choose_stencils(model: StateModel, grid: Grid, settings: KernelSettings,
     THIN; the moments hold everywhere.
     """
     _check_jacobian(model, settings, t)
+    step = step_moments(model, grid.points, grid.spacing, settings, t)
     plain = variance_in_cells(model, grid, settings, t)
     regular = np.linalg.matrix_rank(np.moveaxis(plain, -1, 0), hermitian=True) == grid.ndim
     must_sample = settings.weights == 'sampled' or settings.weights == 'auto' and settings.extent
@@ -52,7 +53,6 @@ def choose_stencils(model: StateModel, grid: Grid, settings: KernelSettings,
         raise ValueError("weights: expected 'moments', or 'auto' without an extent, where the "
                          'noise does not reach every state (g = e Q e^T is singular), '
                          f'got {settings.weights!r}')
-    step = step_moments(model, grid.points, grid.spacing, settings, t)
     if must_sample:
         sampled = np.ones(grid.size, dtype=bool)
     elif settings.weights == 'auto':

@@ -30,9 +30,10 @@ VERSION = 1
 #: endian.
 HEADER = struct.Struct('<8sII64sQQI')
 CHECKSUM = struct.Struct('<I')
-#: A value counts to so many bits of the largest of its kind: the last digits of a sine are the
-#: processor's, not the model's.
+#: A value counts to so many bits: the last digits of a sine are the processor's, not the model's.
 BITS = 26
+#: A smaller value is the rounding of a nought.
+NOTHING = 1e-12
 
 
 def fingerprint(model: StateModel, grid: Grid, settings: KernelSettings, t: float = 0.0) -> str:
@@ -125,14 +126,13 @@ def _values(model: StateModel, x: Array, t: float) -> Iterator[Array]:
 
 
 def _digits(values: Array) -> bytes:
-    """Return values (..., N) rounded to BITS bits of the largest of each row."""
-    rows = np.asarray(values, dtype=float)
-    rows = rows.reshape(-1, rows.shape[-1])
-    defined = np.isfinite(rows)
-    largest = np.abs(np.where(defined, rows, 0.0)).max(axis=1, keepdims=True)
-    # a largest value that is a power of two, but for its last digit, is one
-    exponent = np.frexp(largest * (1 + 2.0**-20))[1]
-    whole = np.rint(np.ldexp(np.where(defined, rows, 0.0), BITS - exponent)).astype('<i8')
+    """Return values rounded to BITS bits each; what is next to nothing is nothing."""
+    given = np.asarray(values, dtype=float)
+    defined = np.isfinite(given)
+    known = np.where(defined & (np.abs(given) > NOTHING), given, 0.0)
+    # a number next to a power of two, but for its last digit, is one
+    exponent = np.frexp(known * (1 + 2.0**-40))[1]
+    whole = np.rint(np.ldexp(known, BITS - exponent)).astype('<i8')
     whole[~defined] = np.iinfo('<i8').min
     return exponent.astype('<i8').tobytes() + whole.tobytes()
 

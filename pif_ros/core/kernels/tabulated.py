@@ -58,12 +58,14 @@ def _inflated(model: StateModel, grid: Grid, settings: KernelSettings) -> StateM
     """
     Return the model with the noise that the settings ask for  [Sensors, section 4.3].
 
-    g = alpha dx: a step's standard deviation is sqrt(alpha dx eps).
+    g = alpha dx: a step's standard deviation is sqrt(alpha dx eps).  What the sense of the model's
+    own noise does to the drift stays.
     """
     if not settings.noise_inflation:
         return model
     return dataclasses.replace(
         model, noise_covariance=None, multiplicative=False, vielbein_jacobian=None, s=0.0,
+        drift=model.ito_drift, drift_jacobian=model.ito_jacobian,
         vielbein=np.diag(np.sqrt(settings.noise_inflation * grid.spacing)))
 
 

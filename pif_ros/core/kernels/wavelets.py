@@ -82,8 +82,9 @@ class WaveletKernel:
     coefficients: W K W^T without the elements below a threshold.  What is left of a column is
     shifted a little so that 1^T W^T W K W^T = 1^T K W^T still holds: mass is kept, or lost over
     the edges, exactly as the kernel does.  A density may dip below 0, by about the threshold;
-    there it is cut to 0, and scaled to the mass it had.  For many steps without a look at the
-    density between: ``synthesise(coefficients @ ... @ analyse(p))``.
+    there it is cut to 0, and scaled to the mass it had.  Elsewhere it rises by as much: about a
+    threshold of mass lies all over the grid after each product.  For many steps without a look at
+    the density between: ``synthesise(coefficients @ ... @ analyse(p))``.
     """
 
     basis: WaveletBasis
@@ -140,7 +141,7 @@ def _filters(wavelet: str) -> tuple[Array, Array]:
     try:
         import pywt
     except ModuleNotFoundError as error:
-        raise ImportError('wavelets: expected the package PyWavelets, which pip install '
+        raise ImportError('wavelet: expected the package PyWavelets, which pip install '
                           '"pif_ros[wavelets]" brings, got none') from error
     if wavelet not in pywt.wavelist(kind='discrete'):
         raise ValueError(f'wavelet: expected the name of a discrete wavelet, got {wavelet!r}')

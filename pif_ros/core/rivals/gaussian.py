@@ -59,7 +59,7 @@ class GaussianBelief:
 
     def on(self, grid: Grid, axes: Sequence[int]) -> GridBelief:
         """
-        Return the density of some axes on their cells of a grid, cut at its edges, with mass 1.
+        Return the density of some axes on their cells of a grid; its mass is what lies there.
 
         A periodic axis gets the sum over all turns.  A standard deviation below half a cell is
         widened to it; a lost belief has no density anywhere.
@@ -68,13 +68,17 @@ class GaussianBelief:
         if not self.mass:
             return GridBelief(cells, np.zeros(cells.shape))
         P = self.spread[np.ix_(axes, axes)]
-        P = P + np.diag(np.maximum((cells.spacing / 2)**2 - np.diag(P), 0.0))
+        # at least half a cell in every direction, or the cells' centres would miss it
+        widths, turned = np.linalg.eigh(P / np.outer(cells.spacing, cells.spacing))
+        P = (turned * np.maximum(widths, 0.25)) @ turned.T * np.outer(cells.spacing, cells.spacing)
         precision = np.linalg.inv(P)
         d = cells.wrap(cells.points - self.location[axes, None])
         exponents = np.stack([-0.5 * np.einsum('ik,ij,jk->k', d + turn, precision, d + turn)
                               for turn in _turns(cells, np.sqrt(np.diag(P)))])
-        density = np.exp(exponents - exponents.max()).sum(axis=0).reshape(cells.shape)
-        return GridBelief(cells, density).normalised()
+        density = np.exp(exponents).sum(axis=0).reshape(cells.shape)
+        density /= np.sqrt(np.linalg.det(2 * np.pi * P))
+        # sampled at the cells' centres it may come to a little more than all
+        return GridBelief(cells, density / max(density.sum() * cells.cell_volume, 1.0))
 
 
 @dataclass(frozen=True, eq=False)

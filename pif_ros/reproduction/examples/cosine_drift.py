@@ -30,7 +30,7 @@ def cases(quick: bool, scratch: str) -> list[TransitionCase]:
     return [TransitionCase(
         'tm-3', 'where a state is 0.2 s after it was at each of four points',
         'densities (Figure 2), no number', cosine_drift().model, STARTS, 0.2,
-        Grid((-1.5,), (1.5,), (1000,)), 100, 2_000 if quick else 100_000, SETTINGS,
+        Grid((-1.5,), (1.5,), (600,)), 100, 2_000 if quick else 100_000, SETTINGS,
         expected=expected(REFERENCE, STARTS), remarks=[*SHARED_REMARKS, REMARK])]
 
 
@@ -42,4 +42,4 @@ def draw(exhibits: Mapping[str, Densities]) -> dict[str, Figure]:
     return {'transition_densities.png': transition_picture(exhibits['tm-3'], {
         'r = 1/2, one step of 0.2 s, as printed': PRINTED.name,
         'r = 0, one step (Euler)': EULER.name,
-        'r = 1/2 with the determinant, 8 steps, by the filter': BEST.name})}
+        'r = 1/2 with the determinant, 32 steps, by the filter': BEST.name})}

@@ -72,6 +72,7 @@ SHARED_REMARKS = [
     'Some true paths leave the printed box, which no filter that stays in it can know: that makes '
     'the means over the seeds, and the medians are the fairer figure.  The optimum knows, as the '
     'grid does, that the state is in the box at the start and stays there.',
+    'EKF and UKF start from N(start, I), as the printed particle filter does for sigma_y = 0.2.',
     'The arcsine is taken of x2 / sqrt(x1^2 + x2^2); the square of x2 is missing in print.']
 SMALL_REMARK = (
     'The printed second hump of x1 at T = 1 is made by the inflation: with the true noise it is '

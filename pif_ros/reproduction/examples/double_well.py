@@ -17,7 +17,7 @@ TITLE, SOURCE = 'Transition densities of the double well', 'TM, Example 2'
 STARTS = (-0.75, -0.35, -0.05, 0.30, 0.70)
 EULER = Setting('', 0.0, 'exponential', 1)
 PRINTED = Setting('printed', 0.5, 'exponential', 1)
-BEST = Setting('best', 0.5, 'determinant', 8, filtered=True)
+BEST = Setting('best', 0.5, 'determinant', 32, filtered=True)
 SETTINGS = (
     PRINTED, EULER, Setting('', 0.5, 'determinant', 1), Setting('', 0.5, 'exponential', 2),
     Setting('', 0.5, 'determinant', 2), Setting('', 0.5, 'exponential', 4),
@@ -60,4 +60,4 @@ def draw(exhibits: Mapping[str, Densities]) -> dict[str, Figure]:
     return {'transition_densities.png': transition_picture(exhibits['tm-2'], {
         'r = 1/2, one step of 0.1 s, as printed': PRINTED.name,
         'r = 0, one step (Euler)': EULER.name,
-        'r = 1/2 with the determinant, 8 steps, by the filter': BEST.name})}
+        'r = 1/2 with the determinant, 32 steps, by the filter': BEST.name})}
