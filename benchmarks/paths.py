@@ -55,7 +55,8 @@ class Window:
 def run(effort: Effort) -> Table:
     """Sample each window, and hold its averages against the grid or large particle filters."""
     rows, goals = [], []
-    for window in (*_windows(effort), _ring(effort, 0.0), _ring(effort, 0.5)):
+    for window in (*_windows(effort), _ring(effort, 0.0), _ring(effort, 0.5),
+                   _ring(effort, 0.0, signs_known=False)):
         drawn, seconds = _timed(window)
         exact = window.exact() if window.exact else None
         rows.append(_row(window, drawn, seconds, exact))
@@ -187,23 +188,24 @@ def _ring_jacobian(x: Array, t: float) -> Array:
     return D
 
 
-def _ring(effort: Effort, r: float) -> Window:
+def _ring(effort: Effort, r: float, signs_known: bool = True) -> Window:
     """Return ten coupled states with correlated noise, of which five squares are seen."""
     apart, h, steps = np.abs(np.subtract.outer(np.arange(10), np.arange(10))), 0.05, 30
     model = StateModel(tuple(f'x{i + 1}' for i in range(10)), _ring_drift, np.eye(10),
                        0.5**np.minimum(apart, 10 - apart), drift_jacobian=_ring_jacobian)
-    sensor = Sensor(lambda x, t: x[0::2]**2, np.eye(5))
-    mean, covariance = np.full(10, 1.5), 0.1 * np.eye(10)
-    measured = _measured(model, sensor, 'squares', mean, h, steps)
+    sensor, start = Sensor(lambda x, t: x[0::2]**2, np.eye(5)), np.full(10, 1.5)
+    mean, variance = (start, 0.1) if signs_known else (np.zeros(10), 1.0)
+    measured = _measured(model, sensor, 'squares', start, h, steps)
     posterior = PathPosterior(model, {'squares': sensor}, KernelSettings(h, r=r), mean,
-                              covariance, measured, 0)
-    draws = 1500 if r == 0 else 400
-    return Window('ring of ten', f'{steps} steps of {h:g} s, r = {r:g}', posterior,
-                  SamplerSettings(chains=4, draws=effort.scaled(draws, 50),
-                                  warm_up=effort.scaled(200, 40), particles=0, moves=2,
-                                  temperatures=16),
-                  filtered=partial(_filtered, posterior, effort.scaled(PARTICLES)) if r == 0
-                  else None, mixes=r == 0)
+                              variance * np.eye(10), measured, 0)
+    easy = signs_known and r == 0
+    setting = f'{steps} steps of {h:g} s, r = {r:g}' + ', N(0, 1) at first' * (not signs_known)
+    return Window('ring of ten', setting, posterior, SamplerSettings(
+        chains=4, draws=effort.scaled(1500 if r == 0 else 200, 50),
+        warm_up=effort.scaled(200, 40), particles=50 if signs_known else 0, moves=2,
+        temperatures=12 if signs_known else 16, least_share=0.1 if signs_known else 0.03),
+        filtered=partial(_filtered, posterior, effort.scaled(PARTICLES)) if easy else None,
+        mixes=easy)
 
 
 def _filtered(posterior: PathPosterior, particles: int) -> tuple[Array, Array]:

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Collection, Sequence
 import os
 from pathlib import Path
+import signal
 import sys
 
 from pif_ros.process import failed
@@ -16,6 +17,7 @@ _NAME = 'reproduce'
 def main(args: Sequence[str] | None = None) -> int:
     """Run it: 0 if all went well, 1 where a figure is missed, 2 at bad arguments, 130 stopped."""
     os.environ.setdefault('OMP_NUM_THREADS', '1')
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     wanted = _arguments(args)
     try:
         # imported here, so that the libraries below find that they have one thread each

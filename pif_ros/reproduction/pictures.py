@@ -63,19 +63,25 @@ def path_picture(record: Record, labels: Sequence[str], measured: Sequence[str])
 
 
 def band_picture(record: Record, tracks: Mapping[str, Track], labels: Sequence[str]) -> Figure:
-    """Return means with their 1 and 2 sigma bands over the truth, a row for each track."""
-    truth, wide = record.truth, len(labels) > 1
+    """
+    Return means with their 1 and 2 sigma bands over the truth.
+
+    A row for each track and a column for each state; for many states the other way round.
+    """
+    truth, n, many = record.truth, len(labels), len(labels) > 2
     margin, low, high = 0.5 * np.ptp(truth, axis=0), truth.min(axis=0), truth.max(axis=0)
+    shape, first = ((n, len(tracks)) if many else (len(tracks), n)), next(iter(tracks.values()))
     with styled():
-        figure = framed(4.7 * len(labels) if wide else 9.0, 0.8 + 1.9 * len(tracks))
-        axes = figure.subplots(len(tracks), len(labels), sharex=True, sharey='col', squeeze=False)
-        for row, (name, track) in zip(axes, tracks.items()):
+        figure = framed(max(9.0, 4.7 * n) if not many else 11.0, 0.8 + 1.9 * shape[0])
+        axes = figure.subplots(*shape, sharex=True, sharey='row' if many else 'col', squeeze=False)
+        for row, (name, track) in zip(axes.T if many else axes, tracks.items()):
+            t = record.stamps_ns[track.chosen] * _NANO
             for i, ax in enumerate(row):
-                t = record.stamps_ns[track.chosen] * _NANO
                 _bands(ax, t, track.means[:, i], np.sqrt(track.variances[:, i]))
                 ax.plot(t, track.means[:, i], color=BLUE, lw=1.1, label='conditional mean')
                 ax.plot(record.stamps_ns * _NANO, truth[:, i], color=INK, lw=0.9, label='truth')
-                ax.set(ylabel=labels[i], ylim=(low[i] - margin[i], high[i] + margin[i]))
+                ax.set(ylim=(low[i] - margin[i], high[i] + margin[i]),
+                       ylabel='' if many and track is not first else labels[i])
             row[0].set_title(name)
         for column in axes.T:
             _over_time(column)
@@ -117,7 +123,8 @@ def intensity_picture(record: Record, films: Mapping[str, tuple[Array, Grid, int
             image = ax.imshow(
                 np.maximum(film / peak, _FLOOR).T, origin='lower', aspect='auto', cmap='magma',
                 norm=LogNorm(_FLOOR, 1.0), interpolation='nearest',
-                extent=(t[0], t[0] + span * len(film), grid.lower[axis], grid.upper[axis]))
+                extent=(t[0] - span / 2, t[0] + span * (len(film) - 0.5), grid.lower[axis],
+                        grid.upper[axis]))
             ax.plot(t, record.truth[:, axis], color=SKY, lw=1.3, label='truth',
                     path_effects=[withStroke(linewidth=2.6, foreground='black')])
             ax.set(title=title, ylabel=label, ylim=limits)

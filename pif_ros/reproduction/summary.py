@@ -122,7 +122,7 @@ def _against_the_optimum(case: Case, found: Sequence[Row]) -> Iterator[Held]:
     if best is None or optimum is None:
         return
     digest, word = (np.nanmedian, 'median ') if case.median else (np.nanmean, '')
-    for score in optimum.figures:
+    for score in [name for name in optimum.figures if name in best.figures]:
         both = np.stack([row.figures[score].scores for row in (best, optimum)], axis=1)
         if score.startswith('rmse'):
             yield Held.to(f"{word}{score} of {best.entry} over the optimum's",

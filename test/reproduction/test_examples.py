@@ -72,6 +72,8 @@ def test_inflated_noise_widens_what_is_believed():
     tracks = outcome('sensors-1', 0).exhibit.tracks
     spread = {entry: np.sqrt(tracks[entry].variances).mean() for entry in (
         cubic_bearing.PRINTED, cubic_bearing.BEST, cubic_bearing.OPTIMUM)}
+    entries = find('sensors-1').cases(True, SCRATCH.name)[0].entries
+    assert 'noise inflation 1,' in entries[0].setting
     assert spread[cubic_bearing.PRINTED] > 2 * spread[cubic_bearing.OPTIMUM]
     assert spread[cubic_bearing.BEST] < 1.6 * spread[cubic_bearing.OPTIMUM]
 

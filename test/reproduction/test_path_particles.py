@@ -35,3 +35,16 @@ def test_forecasts_without_the_path_leave_no_trace():
     one, _ = filter_.correct(ahead, [0.1], 'position', 50_000_000)
     other, _ = filter_.correct(begun, [0.1], 'position', 50_000_000)
     assert np.array_equal(one.now.points, other.now.points)
+
+
+def test_a_measured_path_is_the_integral_of_what_is_seen():
+    clear = ornstein_uhlenbeck(sigma_y=1e-6)
+    times = 0.1 * np.arange(31)
+    record = path_recorded(clear.model, clear.sensors['position'](), 'position', np.array([1.0]),
+                           times, np.random.default_rng(0), 50)
+    assert record.origin.tolist() == [0.0] and np.array_equal(record.stamps_ns, np.rint(
+        times[1:] * 1e9))
+    x = np.concatenate([record.start, record.truth[:, 0]])
+    integral = np.cumsum((x[1:] + x[:-1]) / 2 * 0.1)
+    # between the points the path is a bridge, whose integral scatters by sqrt(0.1^3 / 12)
+    assert np.abs(record.measured[:, 0] - integral).max() < 4 * np.sqrt(30 * 0.1**3 / 12)

@@ -38,14 +38,16 @@ def cases(quick: bool, scratch: str) -> list[FilteringCase]:
     steps = 100 if quick else 2000
     return [
         FilteringCase(
-            OFTEN, 'x1 and x2, a measurement every 0.01 s for 20 s', 'DF 0.54, SIR 1.48',
+            OFTEN, 'x1 and x2, a measurement every 0.01 s for 20 s',
+            'DF 0.54 (8 min), SIR 1.48 (10 min)',
             lambda rng: _record(rng, 1, steps), _often(quick),
             [Expected(PRINTED, 'rmse', 0.560, 0.266, "a dense implementation's"),
              Expected(PRINTED, 'rmse', 0.46, 0.15, "a dense implementation's", median=True)],
             [*SHARED_REMARKS, SETTLED, NOISY], median=True, **SIZES),
         FilteringCase(
             RARE, 'x1 and x2, a measurement every 0.2 s for 20 s',
-            'DF 0.69, 0.31 without the first few; SIR 3.68, 3.34 with 50,000 particles',
+            'DF 0.69 (14 s), 0.31 without the first few; SIR 3.68 (37 s), 3.34 with 50,000 '
+            'particles (14 min)',
             lambda rng: _record(rng, SELDOM, steps), _seldom(quick),
             [Expected(PRINTED, 'rmse', 1.52, 0.89, "a dense implementation's"),
              Expected(WIDE, 'rmse', 0.80, 0.39, "a dense implementation's")],

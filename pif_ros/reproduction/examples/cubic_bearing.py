@@ -44,7 +44,7 @@ def cases(quick: bool, scratch: str) -> list[FilteringCase]:
     """Return the cases of sigma_y = 0.2 and sigma_y = 2."""
     small = FilteringCase(
         SMALL, 'x1 and x2, a bearing every 0.01 s for 2 s',
-        'DF 0.118; SIR 0.165 from N(start, I), 0.022 from N(start, 0.01 I)',
+        'DF 0.118 (40 s); SIR 0.165 (155 s) from N(start, I), 0.022 from N(start, 0.01 I)',
         lambda rng: _record(rng, 0.2), [
             *_contenders(quick, SMALL, 0.2, START),
             _problem(0.2).particles('SIR, near the start', '', 5000, STEP,
@@ -57,7 +57,8 @@ def cases(quick: bool, scratch: str) -> list[FilteringCase]:
         [*SHARED_REMARKS, SMALL_REMARK], median=True)
     large = FilteringCase(
         LARGE, 'x1 and x2, a bearing every 0.01 s for 2 s',
-        'DF 0.128; SIR 25.3, 16.5 with 50,000 particles', lambda rng: _record(rng, 2.0),
+        'DF 0.128 (110 s); SIR 25.3 (110 s), 16.5 with 50,000 particles (25 min)',
+        lambda rng: _record(rng, 2.0),
         _contenders(quick, LARGE, 2.0, (0.0, 0.0)),
         [Expected(PRINTED, 'rmse', 0.174, 0.07, "a dense implementation's", median=True),
          Expected(PRINTED, 'rmse', 0.205, 0.12, "a dense implementation's"),

@@ -54,7 +54,8 @@ def _case(quick: bool, scratch: Path, sensor: str, value: float, spread: float) 
             problem.particles('SIR, one step', '', 5000, STEP),
             problem.extended(STEP / 10), problem.unscented(STEP / 10),
             problem.particles(OPTIMUM, 'optimum', 500 if quick else 10_000, STEP / 25)),
-        [Expected(PRINTED, 'rmse', value, spread, "a dense implementation's")], REMARKS)
+        [Expected(PRINTED, 'rmse', value, spread, "a dense implementation's"),
+         Expected(PRINTED, 'coverage_2', 0.865, 0.08, "a dense implementation's")], REMARKS)
 
 
 REMARKS = [

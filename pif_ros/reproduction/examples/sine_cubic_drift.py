@@ -47,7 +47,7 @@ def cases(quick: bool, scratch: str) -> list[FilteringCase]:
     printed = KernelSettings(STEP, 0.5, 'exponential', weights='sampled')
     return [FilteringCase(
         'tm-4', '|x| from its square, every 0.01 s for 10 s',
-        'densities and particle clouds (Figures 5 to 7), no number', record, (
+        'densities and particle clouds (Figures 5 to 7), no error; 0.5 ms a step', record, (
             problem.grid(PRINTED, 'printed', COARSE, printed, False, {'film': film(COARSE, 0)}),
             problem.grid(BEST, 'best', FINE, KernelSettings(STEP / 4, 0.0),
                          shown={'film': film(FINE, 0)}),
