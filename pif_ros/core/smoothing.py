@@ -84,7 +84,7 @@ def in_order(measurements: Sequence[Measurement | tuple[int, str, ArrayLike]],
     if not ordered:
         raise ValueError('measurements: expected at least one, got none')
     if start_ns is not None and ordered[0].stamp_ns < start_ns:
-        raise ValueError(f'measurements: expected stamps from {start_ns} on, the prior\'s, '
+        raise ValueError(f'measurements: expected stamps from {start_ns} on, that of the prior, '
                          f'got {ordered[0].stamp_ns}')
     return ordered
 

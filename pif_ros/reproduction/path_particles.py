@@ -21,8 +21,9 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class PathParticleFilter:
     """
-    The bootstrap particle filter of a measured path dy = h(x, t) dt + n dw  [PMC, Eq. 1],
-    whose noise does not change with time.
+    The bootstrap particle filter of a measured path dy = h(x, t) dt + n dw  [PMC, Eq. 1].
+
+    The path's noise must not change with time.
 
     A particle carries its state and the integral of h since the last point of the path, by which
     the increment dy ~ N(integral, C eps) weighs it: exact, as the particles become many and the

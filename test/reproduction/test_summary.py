@@ -91,7 +91,7 @@ def test_the_tables_are_whole(tmp_path):
     text = chapter_text(chapter(outcomes(0.08)))
     assert f'{RMSE.mean() * 1.08:.2f} ± ' in text
     assert 'lost (lost in 1 of 6)' in text and 'A remark.' in text
-    assert '- missed: rmse of ours over the optimum\'s: at most 1.05, got 1.08' in text
+    assert "- missed: rmse of ours over the optimum's: at most 1.05, got 1.08" in text
     for line in overview([chapter(outcomes())]).splitlines()[2:5]:
         assert line.count('|') == 12
     (tmp_path / 'fake').mkdir()

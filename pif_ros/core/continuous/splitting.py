@@ -22,8 +22,9 @@ LARGEST = 1e100
 @dataclass(frozen=True, eq=False)
 class Splitting:
     """
-    The steps, then N(dy; h eps, C eps), which is exp(h^T C^-1 dy - eps h^T C^-1 h / 2) but for a
-    factor  [the splitting-up approximation].
+    The steps, then the increment's likelihood: the splitting-up approximation.
+
+    N(dy; h eps, C eps) is exp(h^T C^-1 dy - eps h^T C^-1 h / 2) but for a factor.
 
     state: the filter whose steps these are.
     """

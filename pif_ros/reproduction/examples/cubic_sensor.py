@@ -56,7 +56,7 @@ def cases(quick: bool, scratch: str) -> list[FilteringCase]:
 REMARKS = [
     'The EKF starts at 0, where the slope of the sensor is 0: it believes that it learns nothing, '
     'and stays.  That is so in print, and here.',
-    "At the edge of the grid the exponent h dy is beyond 6000: everything is in logarithms.",
+    'At the edge of the grid the exponent h dy is beyond 6000: everything is in logarithms.',
     'Half as many cells as printed are as good with the symmetric scheme.']
 
 
