@@ -180,7 +180,7 @@ def test_a_measurement_that_no_cell_allows_says_nothing():
 @pytest.mark.parametrize('call, line', [
     (lambda: smooth(OU, PRIOR, []), 'measurements: expected at least one, got none'),
     (lambda: smooth(OU, PRIOR, [(3, 'place', [0.0])], 4),
-     "measurements: expected stamps from 4 on, that of the prior, got 3"),
+     'measurements: expected stamps from 4 on, that of the prior, got 3'),
     (lambda: smooth(OU, PRIOR, [(3, 'place', [0.0])]).at(4),
      'stamp_ns: expected one of the 1 smoothed stamps, got 4'),
     (lambda: smooth(DiracFeynmanFilter(OU.model, OU.grid, OU.sensors, OU.kernel,

@@ -47,7 +47,7 @@ def sine_cubic_drift(sigma: float = 3.0, sigma_y: float = 1.0) -> System:
 
 def arctangent_sensor(a: float = 1.2, b: float = 3.0, sigma_x: float = 0.3,
                       sigma_y: float = 0.05) -> System:
-    """Measure a path: dx = a cos(b x) dt + sigma_x dv, dy = arctan(x) dt + sigma_y dw  [PMC, 40]."""
+    """See a path: dx = a cos(b x) dt + sigma_x dv, dy = arctan(x) dt + sigma_y dw  [PMC, 40]."""
     a, b = finite('a', a), finite('b', b)
     return _scalar(lambda x: a * np.cos(b * x), lambda x: -a * b * np.sin(b * x), 'sigma_x',
                    sigma_x, {'arctangent': _seen(np.arctan, sigma_y)})
