@@ -201,7 +201,7 @@ def posterior_of(**changes):
      'measurements: expected 2 finite values of squares, got [1.0]'),
     ({'measurements': [(5, 'squares', [1.0, float('nan')])]},
      'measurements: expected 2 finite values of squares, got [1.0, nan]'),
-    ({'start_ns': 6}, "measurements: expected stamps from 6 on, the prior's, got 5"),
+    ({'start_ns': 6}, 'measurements: expected stamps from 6 on, that of the prior, got 5'),
 ])
 def test_refuses_what_does_not_fit_in_one_line(changes, line):
     changes = {'measurements': [(5, 'squares', [1.0, 2.0]), (9, 'squares', [1.0, 2.0])],
