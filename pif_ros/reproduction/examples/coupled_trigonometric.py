@@ -63,7 +63,7 @@ def _often(quick: bool) -> list[Contender]:
         problem.grid(BEST, 'best', FINE, KernelSettings(STEP), shown=_films()),
         problem.particles(SIR, 'sir', 5000, STEP),
         problem.extended(STEP), problem.unscented(STEP),
-        problem.particles(OPTIMUM, 'optimum', 2000 if quick else 50_000, STEP)]
+        problem.particles(OPTIMUM, 'optimum', 2000 if quick else 100_000, STEP)]
 
 
 def _seldom(quick: bool) -> list[Contender]:
@@ -77,7 +77,7 @@ def _seldom(quick: bool) -> list[Contender]:
         problem.particles(SIR, 'sir', 2000, dt),
         problem.particles('SIR, more', '', 50_000, dt),
         problem.extended(dt / 4), problem.unscented(dt / 4),
-        problem.particles(OPTIMUM, 'optimum', 2000 if quick else 50_000, dt / 10)]
+        problem.particles(OPTIMUM, 'optimum', 2000 if quick else 200_000, dt / 10)]
 
 
 WIDE = 'grid, as printed but the extent'
@@ -93,7 +93,7 @@ FAILURES = (
     'The printed failures of the particle filter are not reproduced: with systematic resampling '
     'and weights kept as logarithms it does about as well as the grid.')
 NOISY = (
-    'With 50,000 particles the particle filter has not converged: each choice of signs has its '
+    'With 100,000 particles the particle filter has not converged: each choice of signs has its '
     'own share of them, whose evidence wanders over the corrections, and in the end it trusts one '
     'choice too much.  Two grids of different cells agree far better (the column to our best), '
     'and of |x|, which hangs little on the signs, the particle filter tells what the grid does: '

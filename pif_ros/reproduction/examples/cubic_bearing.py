@@ -113,7 +113,7 @@ def _contenders(quick: bool, name: str, sigma_y: float,
                           shown=counted),
         boxed.particles('SIR in the box', '', 5000, STEP, box, counted),
         problem.extended(STEP, wide), problem.unscented(STEP, wide),
-        boxed.particles(OPTIMUM, 'optimum', 2000 if quick else 100_000, STEP, box, counted)]
+        boxed.particles(OPTIMUM, 'optimum', 2000 if quick else 400_000, STEP, box, counted)]
 
 
 def _blind_outside(sensor: Sensor, box: Grid) -> Sensor:

@@ -45,7 +45,7 @@ def cases(quick: bool, scratch: str) -> list[FilteringCase]:
             problem.grid(BEST, 'best', COARSER, KernelSettings(STEP), 'symmetric',
                          shown={'film': film(COARSER, 0, FILMED)}),
             problem.particles('SIR', 'sir', 1000, STEP), problem.extended(STEP),
-            problem.particles(OPTIMUM, 'optimum', 500 if quick else 5000, STEP)),
+            problem.particles(OPTIMUM, 'optimum', 500 if quick else 10_000, STEP)),
         [Expected(PRINTED, 'rmse', 0.406, 0.091, "a dense implementation's"),
          Expected(PRINTED, 'to_optimum', 0.085, 0.04, "a dense implementation's"),
          Expected(PRINTED, 'coverage_2', 0.860, 0.04, "a dense implementation's"),

@@ -55,7 +55,7 @@ def cases(quick: bool, scratch: str) -> list[FilteringCase]:
             problem.particles(OTHER, '', 200, STEP, shown=cloud, salt=1),
             problem.particles('SIR, more', '', 1000, STEP),
             problem.extended(STEP), problem.unscented(STEP),
-            problem.particles(OPTIMUM, 'optimum', 2_000 if quick else 30_000, STEP / 2)),
+            problem.particles(OPTIMUM, 'optimum', 2_000 if quick else 100_000, STEP / 2)),
         EXPECTED, REMARKS, estimand=sizes(READ),
         watched={'both signs alive': Reading(both_signs)})]
 
