@@ -93,11 +93,11 @@ FAILURES = (
     'The printed failures of the particle filter are not reproduced: with systematic resampling '
     'and weights kept as logarithms it does about as well as the grid.')
 NOISY = (
-    'With 100,000 particles the particle filter has not converged: each choice of signs has its '
-    'own share of them, whose evidence wanders over the corrections, and in the end it trusts one '
-    'choice too much.  Two grids of different cells agree far better (the column to our best), '
-    'and of |x|, which hangs little on the signs, the particle filter tells what the grid does: '
-    'it is for |x| that the coverage is held against that of the optimum.')
+    'Even this many particles have not converged: each choice of signs has its own share of them, '
+    'whose evidence wanders over the corrections, and in the end they trust one choice too much.  '
+    'Two grids of different cells agree far better (the column to our best), and of |x|, which '
+    'hangs little on the signs, the particle filter tells what the grid does: it is for |x| that '
+    'the coverage is held against that of the optimum.')
 EXTENT = ('An extent of 2 cells cuts off what the drift carries further in 0.2 s, a quarter of '
           'the mass at each step: a window as wide as the kernel, on the same grid, mends it.')
 

@@ -26,7 +26,7 @@ TITLE, SOURCE = 'Thin noise, seen by a bearing', 'Sensors, section 5.1'
 
 Array = NDArray[np.float64]
 
-STEP, START, FINER = 0.01, (0.37, 0.31), 7
+STEP, START, FINER = 0.01, (0.37, 0.31), 14
 SMALL, LARGE = 'sensors-1, sigma_y = 0.2', 'sensors-1, sigma_y = 2'
 BOXES = {SMALL: Grid((-0.8, -0.8), (0.8, 0.8), (42, 42)),
          LARGE: Grid((-1.6, -1.0), (1.6, 1.0), (62, 62))}
