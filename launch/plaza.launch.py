@@ -10,8 +10,11 @@ from launch_ros.substitutions import FindPackageShare
 
 def generate_launch_description():
     params_file = PathJoinSubstitution(
-        [FindPackageShare('pif_ros'), 'config', 'plaza_range_only.yaml'])
+        [FindPackageShare('pif_ros'), 'config', LaunchConfiguration('config')])
     return LaunchDescription([
+        DeclareLaunchArgument(
+            'config', default_value='plaza_range_only.yaml',
+            description='or plaza_unicycle.yaml, which uses the odometry too'),
         DeclareLaunchArgument(
             'speed', default_value='10.0',
             description='1 is real time, 0 as fast as the filter keeps up'),

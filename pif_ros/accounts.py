@@ -1,4 +1,4 @@
-"""What became of every measurement."""
+"""What became of every measurement and every control."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import time
 @dataclass
 class SourceAccount:
     """
-    One source's measurements: received = accepted + rejected (by reason) + dropped + queued.
+    One topic's messages: received = accepted + rejected (by reason) + dropped + queued.
 
     outliers: those of the accepted that the belief hardly allowed.
     """
@@ -32,15 +32,18 @@ class SourceAccount:
 
 
 class Accounts:
-    """The accounts of all sources."""
+    """The accounts of all sources, and that of the control where the model has inputs."""
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], inputs: Sequence[str] = ()) -> None:
         self.sources = {name: SourceAccount() for name in names}
+        self.control = SourceAccount() if inputs else None
         self.initial_pose = SourceAccount()
 
     def __str__(self) -> str:
         """Return all accounts in a line."""
         lines = [f'{name}: {account}' for name, account in self.sources.items()]
+        if self.control is not None:
+            lines.append(f'control: {self.control}')
         if self.initial_pose.received:
             lines.append(f'initialpose: {self.initial_pose}')
         return '; '.join(lines)

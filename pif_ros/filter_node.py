@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 import functools
-import math
 import time
 from typing import Any
 
@@ -14,10 +12,11 @@ from pif_ros import conversions, interface, parameters
 from pif_ros.accounts import Accounts, Throttle
 from pif_ros.config import build_tracker, ConfigError, describe, find_grid, find_system
 from pif_ros.core.filters import NANOSECONDS
-from pif_ros.core.tracker import CorrectionFailed, Estimate, Measurement
+from pif_ros.core.tracker import Estimate
+from pif_ros.inbox import Inbox
 from pif_ros.outputs import Outputs
 from pif_ros.process import guarded
-from pif_ros.sources import Refused, Source
+from pif_ros.sources import ControlSource, Inlet, Refused, Source
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockChange, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
@@ -26,17 +25,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Empty, Trigger
 
-#: The belief hardly allows a measurement whose likelihood, averaged over the belief, is less than
-#: that of ten standard deviations.
-OUTLIER = -0.5 * 10**2
-#: Replays that have not come to an end for so long, in seconds, take no more late measurements.
-OVERLOAD = 5.0
-#: So many corrections of a replay are made before signals, services and messages have their turn.
-SLICE = 32
-#: A replay of more corrections than this waits until a burst of late measurements has ended ...
-LONG_REPLAY = 4
-#: ... but no longer than this, in seconds.
-PATIENCE = 0.2
 #: Predicting the pose to now has one in so many parts of the time at most, the rest is for
 #: measurements.
 FORECASTS_TAKE = 4
@@ -57,14 +45,10 @@ class FilterNode(Node):
         self.told = bool(parameters.told(self))
         self.config = parameters.declare(self)
         self.tracker = build_tracker(self.config)
-        self.accounts = Accounts(self.config.measurements.names)
+        self.accounts = Accounts(self.config.measurements.names, self.tracker.filter.model.inputs)
+        self.inbox = Inbox(self.tracker, self.accounts, self.config, self.report)
         self.faults = 0
         self._throttle = Throttle()
-        self._queue: deque[Measurement] = deque()
-        self._unjudged: set[Measurement] = set()
-        self._behind_since: float | None = None
-        self._burst_since: float | None = None
-        self._arrivals = self._arrivals_seen = 0
         self._published_ns = -1
         self._next_forecast = 0.0
         self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
@@ -79,31 +63,25 @@ class FilterNode(Node):
     # What comes in
 
     @guarded
-    def _on_measurement(self, source: Source, msg: Any, info: Mapping[str, Any]) -> None:
-        account = self.accounts.sources[source.name]
-        account.received += 1
-        lost = source.lost(info['publication_sequence_number'])
-        topic = self.resolve_topic_name(source.topic)
-        if lost and self.count_publishers(topic) == 1:
+    def _on_message(self, inlet: Source | ControlSource, msg: Any,
+                    info: Mapping[str, Any]) -> None:
+        inlet.account.received += 1
+        lost = inlet.lost(info['publication_sequence_number'])
+        if lost and self.count_publishers(self.resolve_topic_name(inlet.topic)) == 1:
             # several publishers count each for themselves, and which one sent is not told
-            account.received += lost
-            account.dropped += lost
-            self.report(f'{source.name}: DDS',
-                        f'{source.name}: the queue in DDS dropped {lost} measurements')
+            inlet.account.received += lost
+            inlet.account.dropped += lost
+            self.report(f'{inlet.name}: DDS',
+                        f'{inlet.name}: the queue in DDS dropped {lost} {inlet.what}s')
         try:
-            measurement = source.measurement(msg, self._now(), self._arrival(info))
+            item = inlet.item(msg, self._now(), self._arrival(info))
         except Refused as refused:
-            self._reject(source.name, refused.reason, str(refused))
+            self.inbox.reject(inlet, refused.reason, str(refused))
             return
         except Exception:
-            account.rejected['fault'] += 1
+            inlet.account.rejected['fault'] += 1
             raise
-        if len(self._queue) >= self.config.measurements.queue_length:
-            oldest = self._queue.popleft().source
-            self.accounts.sources[oldest].dropped += 1
-            self.report('dropped', f'{oldest}: dropped the oldest measurement of a full queue')
-        self._queue.append(measurement)
-        self._arrivals += 1
+        self.inbox.put(inlet, item)
         self._wake.trigger()
 
     @guarded
@@ -164,30 +142,13 @@ class FilterNode(Node):
 
     @guarded
     def _work(self) -> None:
-        self.drain()
-        if self.tracker.backlog > LONG_REPLAY and self._burst_goes_on():
-            self._wake.trigger()
-            return
-        self._burst_since = None
-        if not self.tracker.backlog:
-            return
         try:
-            estimate = self.tracker.estimate(at_most=SLICE)
-        except CorrectionFailed as failed:
-            self._wake.trigger()
-            account = self.accounts.sources[failed.measurement.source]
-            account.accepted -= 1
-            account.rejected['fault'] += 1
-            self._unjudged.discard(failed.measurement)
-            raise
+            estimate = self.inbox.work()
         finally:
-            self._judge()
-        if self.tracker.backlog or self._queue:
-            self._behind_since = self._behind_since or time.monotonic()
-            self._wake.trigger()
-            return
-        self._behind_since = None
-        self._publish(estimate)
+            if self.inbox.has_work:
+                self._wake.trigger()
+        if estimate is not None:
+            self._publish(estimate)
 
     @guarded
     def _on_timer(self) -> None:
@@ -207,67 +168,12 @@ class FilterNode(Node):
                 self._next_forecast = began + took
 
     def drain(self) -> None:
-        """Put what waits in the queue where it belongs, as far as the work can take it."""
-        while self._queue and self.tracker.backlog < self.config.measurements.queue_length:
-            measurement = self._queue.popleft()
-            if self._is_overload(measurement):
-                self._reject(measurement.source, 'overload', 'late, and the replays of late ones '
-                             f'have not come to an end for {OVERLOAD:g} s')
-                continue
-            self._bridge(measurement)
-            rejection = self.tracker.observe(measurement)
-            if rejection is None:
-                self.accounts.sources[measurement.source].accepted += 1
-                self._unjudged.add(measurement)
-            else:
-                behind = (self.tracker.stamp_ns or 0) - measurement.stamp_ns
-                self._reject(measurement.source, rejection.value,
-                             f'{rejection.value}, {behind / NANOSECONDS:.3f} s behind the newest')
-
-    def _is_overload(self, measurement: Measurement) -> bool:
-        """Return whether a late measurement would keep replays going that never end."""
-        newest_ns, since = self.tracker.stamp_ns, self._behind_since
-        return (since is not None and time.monotonic() - since > OVERLOAD
-                and newest_ns is not None and measurement.stamp_ns < newest_ns)
-
-    def _bridge(self, measurement: Measurement) -> None:
-        """Begin anew where a gap is so long that predicting through it would take for ever."""
-        newest_ns = self.tracker.stamp_ns
-        if newest_ns is not None and measurement.stamp_ns - newest_ns > self._max_gap_ns:
-            gap = (measurement.stamp_ns - newest_ns) / NANOSECONDS
-            self.report('gap', f'{measurement.source}: a gap of {gap:.0f} s, more than '
-                        'time.max_gap: back to the prior')
-            self._unjudged.clear()
-            self.tracker.reset()
-
-    def _judge(self) -> None:
-        """Count and tell which of the new measurements the belief hardly allows, or not at all."""
-        for made in self.tracker.corrections:
-            measurement, surprise = made.measurement, made.log_evidence - made.log_peak
-            if measurement not in self._unjudged:
-                continue
-            self._unjudged.remove(measurement)
-            if surprise < OUTLIER:
-                self.accounts.sources[measurement.source].outliers += 1
-                self.report(f'{measurement.source}: outlier', f'{measurement.source}: ' + (
-                    'a measurement that no state of the belief allows: the belief stays as it was'
-                    if surprise == -math.inf else 'a measurement about '
-                    f'{math.sqrt(-2 * surprise):.0f} standard deviations from all that is believed'
-                ))
-        self.tracker.corrections.clear()
-
-    def _burst_goes_on(self) -> bool:
-        """Return whether measurements still arrive; a replay is best made once, after them."""
-        now, since = time.monotonic(), self._burst_since
-        self._burst_since = now if since is None else since
-        arriving, self._arrivals_seen = self._arrivals != self._arrivals_seen, self._arrivals
-        return arriving and now - self._burst_since < PATIENCE
+        """Account for what still waits."""
+        self.inbox.drain()
 
     def _restart(self, belief: Any, stamp_ns: int | None) -> None:
-        self.drain()
-        self._unjudged.clear()
         self._outputs.restart()
-        self.tracker.reset(belief, stamp_ns)
+        self.inbox.restart(belief, stamp_ns)
 
     # What goes out
 
@@ -300,10 +206,6 @@ class FilterNode(Node):
         if line is not None:
             self.get_logger().warning(line)
 
-    def _reject(self, source: str, reason: str, sentence: str) -> None:
-        self.accounts.sources[source].rejected[reason] += 1
-        self.report(f'{source}: {reason}', f'{source}: rejected a measurement: {sentence}')
-
     # How it is set up
 
     def _warm_up(self) -> None:
@@ -333,9 +235,14 @@ class FilterNode(Node):
         config = self.config
         known = {self.resolve_topic_name(own.name): own.type
                  for own in (*interface.PUBLICATIONS, *interface.SUBSCRIPTIONS)}
+        model, sensors = self.tracker.filter.model, self.tracker.filter.sensors
+        if self.accounts.control is not None:
+            # before the measurements: of what comes together it is the first to be taken
+            self._listen(ControlSource(config.control, model.inputs, config.time.max_ahead,
+                                       self.accounts.control), known)
         for name, source_config in config.measurements.sources.items():
-            self._listen(Source(name, source_config, self.tracker.filter.sensors[name],
-                                config.time.max_ahead), known)
+            self._listen(Source(name, source_config, sensors[name], config.time.max_ahead,
+                                self.accounts.sources[name]), known)
         start = interface.INITIAL_POSE
         self.create_subscription(start.type, start.name, self._on_initial_pose, start.qos)
         for service, callback in ((interface.RESET, self._on_reset),
@@ -352,18 +259,18 @@ class FilterNode(Node):
             clock = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
             self.create_timer(1 / config.publish.rate, self._on_timer, clock=clock)
 
-    def _listen(self, source: Source, known: dict[str, Any]) -> None:
-        """Subscribe to a source, given the types of the topics that are known so far."""
+    def _listen(self, inlet: Inlet, known: dict[str, Any]) -> None:
+        """Subscribe to an inlet, given the types of the topics that are known so far."""
         try:
-            topic = self.resolve_topic_name(source.topic)
-            if known.setdefault(topic, source.type) is not source.type:
+            topic = self.resolve_topic_name(inlet.topic)
+            if known.setdefault(topic, inlet.type) is not inlet.type:
                 raise ValueError(f'its messages are of type {known[topic].__name__}')
             self.create_subscription(
-                source.type, source.topic, functools.partial(self._on_measurement, source),
+                inlet.type, inlet.topic, functools.partial(self._on_message, inlet),
                 interface.measurement_qos(self.config.measurements.queue_length))
         except Exception as error:  # noqa: B902  rclpy's own have no common base
-            raise ConfigError(f'measurements.{source.name}.topic: expected a topic for messages '
-                              f'of type {source.type.__name__}, got {source.topic!r} '
+            raise ConfigError(f'{inlet.prefix}.topic: expected a topic for messages '
+                              f'of type {inlet.type.__name__}, got {inlet.topic!r} '
                               f'({str(error).splitlines()[0]})') from None
 
     def _arrival(self, info: Mapping[str, Any]) -> int | None:

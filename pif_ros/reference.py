@@ -29,7 +29,9 @@ def filled(text: str) -> str:
 
 def _topics() -> str:
     sources = '| subscribed | `measurements.NAME.topic` | any installed type | a measurement |'
-    rows = [sources] + [
+    control = ('| subscribed | `control.topic` | any installed type | what drives a model with '
+               'inputs; its stamp is the start of the interval for which it holds |')
+    rows = [sources, control] + [
         f'| {way} | `{out.name}` | {out.type_name} | {out.says} |'
         for way, endpoints in (('subscribed', interface.SUBSCRIPTIONS),
                                ('published', interface.PUBLICATIONS)) for out in endpoints]

@@ -1,10 +1,11 @@
-"""What a simulator plays: a truth, and what the sensors of a configuration make of it; no ROS."""
+"""What a simulator plays: a truth, what drives it, and what sensors make of it; no ROS."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import dataclasses
 from dataclasses import dataclass
+import itertools
 import math
 
 import numpy as np
@@ -13,12 +14,15 @@ from numpy.typing import NDArray
 from pif_ros.config import build_tracker, Config, ConfigError, OF_A_PATH
 from pif_ros.config.kinds import (BOOL, COUNT, FREQUENCY, Kind, NAME, NOT_NEGATIVE, NUMBERS,
                                   parameter, POSITIVE, taken, Value)
+from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.models import StateModel
 from pif_ros.core.simulation import measure, measure_path, refined, simulate_inside
 
 Array = NDArray[np.float64]
 
+#: Seconds after which the wandering of a control has forgotten itself to a third.
+MEMORY = 5.0
 #: Paths that are drawn before it is given up that one stays on the grid.
 ATTEMPTS = 100
 #: Numbers that a truth, with its substeps, may have.
@@ -44,6 +48,9 @@ class Settings:
                                          'drawn from the prior')
     inside: bool = parameter(True, BOOL, 'draw anew a truth that leaves the grid')
     substeps: int = parameter(10, COUNT, 'steps of the simulation in a kernel.time_step')
+    drive: tuple[float, ...] = parameter((), NUMBERS, 'mean of each input of the model; none: 0')
+    wander: tuple[float, ...] = parameter((), NUMBERS, 'standard deviation with which each input '
+                                          'wanders about that; none: 1')
     path: bool = parameter(False, BOOL, 'measure the path of dy = h dt + n dw, as for filter.type '
                            f'{" and ".join(OF_A_PATH)} in any case')
     speed: float = parameter(1.0, NOT_NEGATIVE, 'against real time; 0: as fast as the filter keeps'
@@ -68,13 +75,15 @@ class Scenario:
     A truth, and what is measured of it.
 
     elapsed_ns: since the first measurement, (T,); truth: (T, n); measurements: by source, (T, m);
-    changes_with_time: whether they hold for a beginning at BEGIN_NS only.
+    changes_with_time: whether they hold for a beginning at BEGIN_NS only; controls: those of a
+    model with inputs, a new one at each measurement from BEGIN_NS on.
     """
 
     elapsed_ns: NDArray[np.int64]
     truth: Array
     measurements: Mapping[str, Array]
     changes_with_time: bool
+    controls: Controls = NO_CONTROLS
 
 
 def measures_paths(config: Config, settings: Settings) -> bool:
@@ -100,8 +109,10 @@ def scenario(config: Config, settings: Settings) -> Scenario:
                           f'{float(count) * substeps * filter_.model.ndim:.0e}')
     elapsed_ns = interval_ns * np.arange(count)
     fine = refined((BEGIN_NS + elapsed_ns) / NANOSECONDS, substeps)
-    of_truth, *of_sources = np.random.default_rng(settings.seed).spawn(1 + len(filter_.sensors))
-    truth = _truth(config, settings, filter_.model, fine, of_truth)
+    of_truth, *of_sources, of_controls = np.random.default_rng(settings.seed).spawn(
+        2 + len(filter_.sensors))
+    controls = _controls(config, settings, filter_.model.inputs, elapsed_ns, of_controls)
+    truth = _truth(config, settings, filter_.model, controls, fine, of_truth)
     measurements = {}
     for (name, sensor), rng in zip(filter_.sensors.items(), of_sources):
         if measures_paths(config, settings):
@@ -111,7 +122,7 @@ def scenario(config: Config, settings: Settings) -> Scenario:
                 truth[::substeps], fine[::substeps])])
     changes = filter_.model.changes_with_time or any(
         s.time_dependent or callable(s.covariance) for s in filter_.sensors.values())
-    return Scenario(elapsed_ns, truth[::substeps], measurements, changes)
+    return Scenario(elapsed_ns, truth[::substeps], measurements, changes, controls)
 
 
 def drawn(config: Config, rng: Generator) -> Array:
@@ -130,8 +141,29 @@ def _interval_ns(config: Config, settings: Settings) -> int:
     return max(round(seconds * NANOSECONDS), 1)
 
 
-def _truth(config: Config, settings: Settings, model: StateModel, times: Array,
-           rng: Generator) -> Array:
+def _controls(config: Config, settings: Settings, inputs: Sequence[str],
+              elapsed_ns: NDArray[np.int64], rng: Generator) -> Controls:
+    """Return controls that wander slowly, a new one at each measurement."""
+    for name in ('drive', 'wander'):
+        given = getattr(settings, name)
+        if given and len(given) != len(inputs):
+            raise ConfigError(f'{name}: expected {len(inputs)} values, one for each input '
+                              f'({", ".join(inputs) or "the model has none"}), got {list(given)}')
+    if not inputs:
+        return NO_CONTROLS
+    # a stationary Ornstein-Uhlenbeck process, exact at its stamps
+    kept = math.exp(-float(elapsed_ns[min(1, len(elapsed_ns) - 1)]) / (MEMORY * NANOSECONDS))
+    fresh = math.sqrt(1 - kept**2)
+    noise = rng.standard_normal((len(elapsed_ns), len(inputs)))
+    wanders = np.array(list(itertools.accumulate(noise, lambda u, z: kept * u + fresh * z)))
+    values = (np.array(settings.drive or (0.0,) * len(inputs))
+              + np.array(settings.wander or (1.0,) * len(inputs)) * wanders)
+    return Controls(tuple((BEGIN_NS + elapsed_ns).tolist()), tuple(map(tuple, values.tolist())),
+                    round(config.control.hold * NANOSECONDS))
+
+
+def _truth(config: Config, settings: Settings, model: StateModel, controls: Controls,
+           times: Array, rng: Generator) -> Array:
     """Return a sample path at some times, (len(times), n)."""
     start = settings.start
     if start and len(start) != model.ndim:
@@ -146,7 +178,8 @@ def _truth(config: Config, settings: Settings, model: StateModel, times: Array,
     try:
         with np.errstate(over='ignore', invalid='ignore'):
             return simulate_inside(model, lambda generator: start or drawn(config, generator),
-                                   times, rng, lower, upper, attempts=ATTEMPTS)
+                                   times, rng, lower, upper, attempts=ATTEMPTS,
+                                   controls=controls)
     except RuntimeError:
         if not settings.inside:
             raise ConfigError('substeps: expected more, since the simulated path does not stay '

@@ -1,4 +1,4 @@
-"""Plays a simulation onto real topics: the truth, and the measurements of a configuration."""
+"""Plays a simulation onto real topics: truth, controls and measurements of a configuration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 import numpy as np
 from pif_ros import conversions, parameters
-from pif_ros.config import Config, ConfigError, find_system, SourceConfig, state_axes
+from pif_ros.config import (Config, ConfigError, ControlConfig, find_system, SourceConfig,
+                            state_axes)
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.scenario import BEGIN_NS, scenario, Settings
 from rclpy.duration import Duration
@@ -44,7 +45,8 @@ class Outlet:
 
 class Simulator(Node):
     """
-    Publishes what the sources of a configuration would measure, `truth`, and `truth_state`.
+    Publishes what the sources of a configuration would measure, `truth`, and `truth_state`; for a
+    model with inputs also what drives it, on the topic of the configuration's control.
 
     Where the node is told use_sim_time, it makes the time itself and publishes `/clock`: then the
     stamps too are the same for the same seed.  given: settings that count above the parameters'.
@@ -109,6 +111,7 @@ class Simulator(Node):
         for name, source in self.config.measurements.sources.items():
             by_topic.setdefault(source.topic, {})[name] = source
         self._outlets = [self._outlet(topic, sources, qos) for topic, sources in by_topic.items()]
+        self._control = self._control_outlet(qos) if self.scenario.controls.values else None
         self._truth = self.create_publisher(PoseStamped, 'truth', qos)
         self._state = self.create_publisher(JointState, 'truth_state', qos)
         self._ticks = self.create_publisher(Clock, '/clock', 10) if self._makes_time else None
@@ -125,19 +128,32 @@ class Simulator(Node):
             if source.type != first.type:
                 raise ConfigError(f'measurements.{name}.type: expected {first.type!r}, as all on '
                                   f'topic {topic!r}, got {source.type!r}')
-            try:
-                message = conversions.message_class(source.type)
-            except ValueError as error:
-                raise ConfigError(f'measurements.{name}.type: {error}') from None
             size = self.scenario.measurements[name].shape[1]
-            try:
-                writers[name] = conversions.field_writer(message, source.fields, size)
-            except ValueError as error:
-                raise ConfigError(f'measurements.{name}.fields: {error}') from None
-            if self.settings.speed == 0.0 and not conversions.has_header(message):
-                raise ConfigError('speed: expected one above 0 where messages bear no stamp '
-                                  f'({source.type}), got 0.0')
+            message, writers[name] = self._writer(f'measurements.{name}', source, size)
         return Outlet(self.create_publisher(message, topic, qos), message, writers)
+
+    def _control_outlet(self, qos: QoSProfile) -> Outlet:
+        config = self.config.control
+        size = len(self.scenario.controls.values[0])
+        message, write = self._writer('control', config, size)
+        return Outlet(self.create_publisher(message, config.topic, qos), message,
+                      {'control': write})
+
+    def _writer(self, prefix: str, config: SourceConfig | ControlConfig,
+                size: int) -> tuple[Any, Callable[[Any, Any], None]]:
+        """Return the class of a message, and what puts so many numbers into its fields."""
+        try:
+            message = conversions.message_class(config.type)
+        except ValueError as error:
+            raise ConfigError(f'{prefix}.type: {error}') from None
+        try:
+            write = conversions.field_writer(message, config.fields, size)
+        except ValueError as error:
+            raise ConfigError(f'{prefix}.fields: {error}') from None
+        if self.settings.speed == 0.0 and not conversions.has_header(message):
+            raise ConfigError('speed: expected one above 0 where messages bear no stamp '
+                              f'({config.type}), got 0.0')
+        return message, write
 
     def _on_pose(self, msg: PoseWithCovarianceStamped) -> None:
         self._pose_ns = max(self._pose_ns, conversions.stamp_to_ns(msg.header.stamp))
@@ -162,7 +178,8 @@ class Simulator(Node):
 
     def _missing(self) -> list[str]:
         """Return the topics at which the other end has not been met yet."""
-        missing = [outlet.publisher.topic_name for outlet in self._outlets
+        outlets = [*self._outlets, *([self._control] if self._control is not None else [])]
+        missing = [outlet.publisher.topic_name for outlet in outlets
                    if not outlet.publisher.get_subscription_count()]
         # this node too hears the clock, since it is told to
         if self._ticks is not None and self._ticks.get_subscription_count() < 2:
@@ -201,6 +218,10 @@ class Simulator(Node):
         named = JointState(name=self._names, position=state.tolist())
         for message, publisher in ((truth, self._truth), (named, self._state)):
             publisher.publish(self._stamped(message, stamp_ns))
+        if self._control is not None:
+            message = self._control.type()
+            self._control.writers['control'](message, self.scenario.controls.values[k])
+            self._control.publisher.publish(self._stamped(message, stamp_ns))
         for outlet in self._outlets:
             message = outlet.type()
             for source, write in outlet.writers.items():

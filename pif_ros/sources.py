@@ -1,44 +1,57 @@
-"""From the message of a source to a measurement, or to the reason why it is none."""
+"""From a message to a measurement or a control, or to the reason why it is none."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 import math
 from typing import Any
 
 from pif_ros import conversions
-from pif_ros.config import ConfigError, SourceConfig
+from pif_ros.accounts import SourceAccount
+from pif_ros.config import ConfigError, ControlConfig, SourceConfig
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.models import Sensor
 from pif_ros.core.tracker import Measurement
 
 
 class Refused(ValueError):
-    """A message that is no measurement: a reason to count by, and a sentence."""
+    """A message that cannot be used: a reason to count by, and a sentence."""
 
     def __init__(self, reason: str, sentence: str) -> None:
         super().__init__(sentence)
         self.reason = reason
 
 
-class Source:
-    """
-    One topic of measurements.
+@dataclass(frozen=True)
+class Control:
+    """What drives the model from a stamp on, one value for each of its inputs."""
 
+    stamp_ns: int
+    values: tuple[float, ...]
+
+
+class Inlet:
+    """
+    One topic of stamped numbers, so many in each message, and the account of its messages.
+
+    prefix: what the names of its parameters begin with; name, what: what its lines speak of.
     Raises ConfigError for a type that is not installed or fields that it has not.
     """
 
-    def __init__(self, name: str, config: SourceConfig, sensor: Sensor,
-                 max_ahead: float) -> None:
-        self.name, self.topic, self._size = name, config.topic, sensor.size
-        self._max_ahead_ns = round(max_ahead * NANOSECONDS)
+    def __init__(self, name: str, what: str, prefix: str, config: SourceConfig | ControlConfig,
+                 size: int, max_ahead: float, account: SourceAccount | None) -> None:
+        self.name, self.what, self.prefix, self.topic = name, what, prefix, config.topic
+        self.account = SourceAccount() if account is None else account
+        self._size, self._max_ahead_ns = size, round(max_ahead * NANOSECONDS)
         try:
             self.type = conversions.message_class(config.type)
         except ValueError as error:
-            raise ConfigError(f'measurements.{name}.type: {error}') from None
+            raise ConfigError(f'{prefix}.type: {error}') from None
         try:
             self._read = conversions.field_reader(self.type, config.fields)
         except ValueError as error:
-            raise ConfigError(f'measurements.{name}.fields: {error}') from None
+            raise ConfigError(f'{prefix}.fields: {error}') from None
         self._stamped = conversions.has_header(self.type)
         self._is_range = conversions.is_range(self.type, config.fields)
         self._newest: int | None = None
@@ -52,15 +65,15 @@ class Source:
         newest, self._newest = self._newest, number
         return 0 if newest is None or number is None else max(number - newest - 1, 0)
 
-    def measurement(self, msg: Any, now_ns: int | None,
-                    arrived_ns: int | None = None) -> Measurement:
+    def read(self, msg: Any, now_ns: int | None,
+             arrived_ns: int | None = None) -> tuple[int, tuple[float, ...]]:
         """
-        Return the measurement in a message; Refused where it is none.
+        Return the stamp and the numbers of a message; Refused where they are none.
 
         One without a header holds at its arrival, now where that is not known.
         """
         if now_ns is None:
-            raise Refused('no clock', 'expected a /clock before the first measurement')
+            raise Refused('no clock', f'expected a /clock before the first {self.what}')
         try:
             values = self._read(msg)
         except IndexError:
@@ -73,7 +86,7 @@ class Source:
         if self._is_range and not conversions.in_range(msg):
             raise Refused('out of range', f'expected a range from {msg.min_range:g} to '
                           f'{msg.max_range:g}, got {msg.range:g}')
-        return Measurement(self._stamp(msg, now_ns, arrived_ns), self.name, values)
+        return self._stamp(msg, now_ns, arrived_ns), values
 
     def _stamp(self, msg: Any, now_ns: int, arrived_ns: int | None) -> int:
         if not self._stamped:
@@ -86,3 +99,37 @@ class Source:
             raise Refused('from the future', 'expected a stamp at most time.max_ahead after now, '
                           f'got one {ahead:.3f} s after it')
         return stamp_ns
+
+
+class Source(Inlet):
+    """One topic of measurements by a sensor."""
+
+    def __init__(self, name: str, config: SourceConfig, sensor: Sensor, max_ahead: float,
+                 account: SourceAccount | None = None) -> None:
+        super().__init__(name, 'measurement', f'measurements.{name}', config, sensor.size,
+                         max_ahead, account)
+
+    def item(self, msg: Any, now_ns: int | None, arrived_ns: int | None = None) -> Measurement:
+        """Return the measurement in a message; Refused where it is none."""
+        stamp_ns, values = self.read(msg, now_ns, arrived_ns)
+        return Measurement(stamp_ns, self.name, values)
+
+
+class ControlSource(Inlet):
+    """
+    The topic of what drives a model with inputs.
+
+    Raises ConfigError also for fields that hold not just one number for each input.
+    """
+
+    def __init__(self, config: ControlConfig, inputs: Sequence[str], max_ahead: float,
+                 account: SourceAccount | None = None) -> None:
+        super().__init__('control', 'control', 'control', config, len(inputs), max_ahead, account)
+        try:
+            conversions.field_writer(self.type, config.fields, len(inputs))
+        except ValueError as error:
+            raise ConfigError(f'control.fields: {error} for {", ".join(inputs)}') from None
+
+    def item(self, msg: Any, now_ns: int | None, arrived_ns: int | None = None) -> Control:
+        """Return the control in a message; Refused where it is none."""
+        return Control(*self.read(msg, now_ns, arrived_ns))

@@ -4,7 +4,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from pif_ros.config import build_tracker, Config, ConfigError, specifications
+from pif_ros.config import build_tracker, Config, ConfigError, find_grid, specifications
 from pif_ros.core.grid import Grid
 from pif_ros.filter_node import FilterNode
 import pytest
@@ -231,12 +231,15 @@ def test_a_grid_too_large_for_the_memory_is_refused_before_it_is_made():
 
 @pytest.mark.parametrize('path', FILES, ids=lambda path: path.stem)
 def test_every_file_of_the_package_makes_a_filter(path):
-    tracker = build_tracker(Config.from_yaml(path))
+    config = Config.from_yaml(path)
+    tracker = build_tracker(config)
     names = yaml.safe_load(path.read_text())['/**']['ros__parameters']['measurements']['names']
     assert list(tracker.filter.sensors) == names
     belief = tracker.estimate().belief
-    assert belief.mass == pytest.approx(1.0, abs=1e-9)
-    assert np.all(belief.density >= 0)
+    # an active region may leave out its negligible share
+    left_out = config.region.negligible if tracker.filter.model.inputs else 1e-9
+    assert belief.mass == pytest.approx(1.0, abs=left_out)
+    assert np.all(belief.on(find_grid(config, tracker.filter.model), [0]).density >= 0)
 
 
 @pytest.mark.parametrize('path', FILES, ids=lambda path: path.stem)
@@ -271,7 +274,9 @@ INTEGERS = {
     'prior.covariance_diagonal': [10, 9], 'kernel.time_step': 1, 'kernel.r': 1,
     'pose.unestimated_variance': 2, 'publish.rate': 10, 'density.rate': 2, 'time.history': 3,
     'time.history_memory': 100, 'time.max_ahead': 2, 'time.max_forecast': 30,
-    'time.max_gap': 60, 'kernel.noise_inflation': 1, 'kernel.s': 0, 'filter.significance': 0,
+    'time.max_gap': 60, 'control.hold': 1, 'region.negligible': 0, 'region.resolution': 2,
+    'kernel.noise_inflation': 1, 'kernel.macro_error': 0, 'kernel.s': 0,
+    'filter.significance': 0,
     'filter.resample_below': 1, 'operator.threshold': 0,
     'model.params.sigma_x': 1, 'model.params.sigma_y': 2}
 
@@ -309,6 +314,36 @@ def test_a_configuration_of_nothing_is_the_first_example_of_the_papers():
     x = tracker.filter.grid.points
     p = np.exp(-(x**2).sum(axis=0) / 20).reshape(62, 62)
     np.testing.assert_allclose(tracker.prior.density, p / p.sum() / (12 / 62)**2, rtol=1e-12)
+
+
+LORENZ = {'model.name': 'lorenz_63', 'model.params.sigma_x': 10.0, 'grid.shape': [40, 40, 40],
+          'grid.lower': [-30, -30, -5], 'grid.upper': [30, 30, 55], 'prior.mean': [0, 0, 25],
+          'prior.covariance_diagonal': [16, 16, 16], 'pose.axes': ['x1', 'x2', 'x3']}
+
+
+def test_the_form_of_the_kernel_is_the_one_that_suits_or_else_the_one_that_fits(monkeypatch):
+    def form(**given):
+        return build_tracker(Config.from_parameters({
+            **LORENZ, **{name.replace('__', '.'): v for name, v in given.items()}})).filter.form
+
+    # strongly coupled axes: tabulated, with 280 weights a cell of which there are 64,000
+    assert form() == 'tabulated'
+    assert form(kernel__form='split') == 'split'
+    monkeypatch.setattr('pif_ros.config.filters._available_memory', lambda: 200_000_000)
+    assert form() == 'split'
+    for given in ({'kernel__form': 'tabulated'}, {'operator__steps': 2}, {'kernel__r': 0.0}):
+        with pytest.raises(ConfigError, match='^grid.shape: expected a grid whose kernel fits'):
+            form(**given)
+
+
+def test_a_form_that_cannot_be_is_refused_by_name():
+    with pytest.raises(ConfigError, match="^kernel.form: expected 'auto' or 'tabulated' with r = "
+                                          "0.0, got 'split'$"):
+        build_tracker(Config.from_parameters({'kernel.form': 'split', 'kernel.r': 0.0}))
+    with pytest.raises(ConfigError, match='^kernel.macro_error: expected 0 where .*, got 0.01$'):
+        build_tracker(Config.from_parameters({'kernel.macro_error': 0.01, 'operator.steps': 2}))
+    with pytest.raises(ConfigError, match="^kernel.form: expected 'auto' with filter.type 'dfy'"):
+        build_tracker(Config.from_parameters({'kernel.form': 'split', 'filter.type': 'dfy'}))
 
 
 def test_a_source_without_a_sensors_name_gets_the_first_of_the_system():

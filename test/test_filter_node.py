@@ -16,8 +16,9 @@ from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.systems import position_2d, position_sensor
 from pif_ros.core.tracker import Measurement, Tracker
 import pytest
-from rcl_interfaces.msg import (
-    Log, Parameter as ParameterMessage, ParameterType, ParameterValue)
+from rcl_interfaces.msg import Log
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import ClockType
 from rclpy.parameter import Parameter
@@ -132,7 +133,7 @@ def check_healthy(rig):
 
 def check_balance(rig):
     """Check that received = accepted + rejected + dropped + queued."""
-    queued = len(rig.node._queue)
+    queued = len(rig.node.inbox.queue)
     accounts = rig.node.accounts.sources.values()
     assert sum(a.received for a in accounts) == queued + sum(
         a.accepted + a.rejected.total() + a.dropped for a in accounts)
@@ -223,7 +224,7 @@ def test_every_pose_is_that_of_a_tracker_put_together_by_hand_to_the_last_bit(gr
     grid = Grid((-3.0, -4.0), (3.0, 4.0), (20, 24))
     tracker = Tracker(
         DiracFeynmanFilter(position_2d(0.5).model, grid, {'main': position_sensor(0.3)},
-                           KernelSettings(0.1)),
+                           KernelSettings(0.1, form='auto')),
         GridBelief.gaussian(grid, [0.5, -0.5], np.diag([1.0, 2.0])))
     for count, (stamp_ns, x, y) in enumerate(track(), 1):
         follow(rig, [(stamp_ns, x, y)])
@@ -1105,7 +1106,7 @@ def test_replays_that_never_end_take_no_more_late_measurements(graph):
     rig = Rig(graph, {**PLANE, 'time.history': 5.0})
     follow(rig, track(3))
     # as after five seconds of replays, each overtaken by the next late measurement
-    rig.node._behind_since = time.monotonic() - 6
+    rig.node.inbox.behind_since = time.monotonic() - 6
     [heard] = [s for s in rig.node.subscriptions if s.topic_name == '/fix']
     newest = track(3)[-1][0]
     heard.callback(fix(newest - MS, 0.0, 0.0), INFO)

@@ -18,17 +18,26 @@ LAYERS = [
     ['core.grid'],
     ['core.belief'],
     ['core.models', 'core.scoring'],
-    ['core.simulation', 'core.systems.system', 'core.kernels.settings'],
+    ['core.controls', 'core.systems.system', 'core.kernels.settings'],
+    ['core.simulation'],
     ['core.systems.scalar', 'core.systems.coupled', 'core.systems.robots',
      'core.kernels.formula', 'core.kernels.lattice'],
     ['core.systems', 'core.kernels.moments'],
     ['core.kernels.sampled', 'core.kernels.thin'],
-    ['core.kernels.multiplicative'],
+    ['core.kernels.multiplicative', 'core.kernels.tilted', 'core.kernels.directions'],
     ['core.kernels.stencils'],
     ['core.kernels.tabulated', 'core.kernels.stored', 'core.kernels.composed',
      'core.kernels.wavelets'],
-    ['core.kernels.operators'],
+    ['core.kernels.operators', 'core.kernels.split'],
+    ['core.kernels.ladder'],
+    ['core.kernels.forms'],
     ['core.kernels', 'core.likelihood'],
+    ['core.active.window', 'core.active.settings', 'core.active.compiled'],
+    ['core.active.belief', 'core.active.flow'],
+    ['core.active.regions', 'core.active.resolution', 'core.active.transport'],
+    ['core.active.focus'],
+    ['core.active.filter'],
+    ['core.active'],
     ['core.filters'],
     ['core.tracker', 'core.rivals.passage', 'core.continuous.increments'],
     ['core.smoothing', 'core.rivals.cloud', 'core.rivals.gaussian', 'core.continuous.path',
@@ -42,20 +51,21 @@ LAYERS = [
     ['core.path_monte_carlo.sampler'],
     ['core.path_monte_carlo'],
     ['config.kinds'],
+    ['config.sections'],
     ['config.table'],
     ['config.filters'],
     ['config.build'],
     ['config'],
     ['parameters', 'conversions', 'interface', 'scenario'],
     ['sources', 'reference'],
-    ['outputs', 'simulation_node'],
+    ['inbox', 'outputs', 'simulation_node'],
     ['filter_node'],
     ['node', 'simulate'],
 ]
 TOP = ('plaza', 'reproduction')
 
 #: What the core may import besides numpy and scipy, and where: only when it is asked for.
-OPTIONAL = {'core.kernels.wavelets': {'pywt'}}
+OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'}}
 
 #: Who may speak to rclpy, and who of them handles messages.
 SPEAKS_ROS = {'parameters', 'outputs', 'filter_node', 'node', 'interface', 'conversions',

@@ -150,3 +150,60 @@ def test_every_example_can_be_simulated_for_as_long_as_it_says(path):
 
 def test_there_is_time_before_the_first_measurement():
     assert BEGIN_NS > 0
+
+
+# What drives a model with inputs
+
+YARD = {'model.name': 'unicycle_2d', 'model.params.sigma_position': 1e-6,
+        'model.params.sigma_heading': 1e-6, 'filter.type': 'ekf',
+        'grid.lower': [-90.0, -90.0, -4.0], 'grid.upper': [90.0, 90.0, 4.0],
+        'grid.shape': [4, 4, 4], 'prior.mean': [0.0, 0.0, 0.0],
+        'prior.covariance_diagonal': [1.0, 1.0, 1.0], 'kernel.time_step': 0.1,
+        'measurements.main.sensor': 'position', 'measurements.main.params.sigma': 0.3}
+
+
+def test_what_drives_is_the_same_for_the_same_seed_and_begins_with_the_simulation():
+    one, two, other = (played(YARD, seed=seed, rate=5.0) for seed in (3, 3, 4))
+    assert one.controls == two.controls != other.controls and same(one, two)
+    assert one.controls.stamps_ns == tuple(BEGIN_NS + 200_000_000 * k for k in range(6))
+    assert one.controls.hold_ns == 1_000_000_000
+    assert played().controls.values == ()
+
+
+def test_the_truth_is_driven_by_what_is_sent():
+    simulation = played(YARD, start=[0.0, 0.0, 0.5], drive=[2.0, 0.5], wander=[0.5, 0.2])
+    x = simulation.truth[0]
+    for (v, omega), found in zip(simulation.controls.values, simulation.truth[1:]):
+        # Euler's ten steps of 10 ms: off by omega v h^2 / 2 each, 1e-3 in ten intervals
+        middle = x[2] + omega * 0.05
+        x = x + 0.1 * np.array([v * np.cos(middle), v * np.sin(middle), omega])
+        np.testing.assert_allclose(found, x, atol=5e-3)
+    assert np.hypot(*x[:2]) > 1.0
+
+
+def test_a_control_that_holds_for_less_than_an_interval_drives_for_as_long_as_it_holds():
+    parameters = {**YARD, 'control.hold': 0.5}
+    simulation = played(parameters, start=[0.0] * 3, rate=0.5, duration=20.0, drive=[1.0, 0.0],
+                        wander=[1e-9, 1e-9])
+    # half a metre in each of ten intervals
+    np.testing.assert_allclose(simulation.truth[-1], [5.0, 0.0, 0.0], atol=1e-4)
+
+
+def test_a_control_wanders_about_its_mean_and_forgets_itself_in_five_seconds():
+    u = np.array(played(YARD, duration=20_000.0, rate=1.0, inside=False, substeps=1,
+                        drive=[1.0, -2.0], wander=[0.5, 0.1]).controls.values)
+    # 20000 s hold about 20000 / (2 * 5) independent values: errors of 1 / sqrt(2000) of each
+    np.testing.assert_allclose(u.mean(axis=0), [1.0, -2.0], atol=5 * 0.5 / 2000**0.5)
+    np.testing.assert_allclose(u.std(axis=0), [0.5, 0.1], rtol=5 / 4000**0.5)
+    correlation = np.corrcoef(u[:-5, 0], u[5:, 0])[0, 1]
+    assert correlation == pytest.approx(np.exp(-1), abs=5 / 2000**0.5)
+
+
+@pytest.mark.parametrize(('parameters', 'settings', 'line'), [
+    (YARD, {'drive': [1.0]}, 'drive: expected 2 values, one for each input (v, omega), got [1.0]'),
+    (YARD, {'wander': [1.0] * 3}, 'wander: expected 2 values, one for each input (v, omega)'),
+    (LINE, {'drive': [1.0]}, 'drive: expected 0 values, one for each input (the model has none)')])
+def test_refuses_what_cannot_drive(parameters, settings, line):
+    with pytest.raises(ConfigError) as refused:
+        played(parameters, **settings)
+    assert str(refused.value).startswith(line)

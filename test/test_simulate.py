@@ -7,7 +7,7 @@ import sys
 import time
 from typing import Any
 
-from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped, TwistStamped
 import numpy as np
 from pif_ros.config import ConfigError
 from pif_ros.core.models import Sensor, StateModel
@@ -328,3 +328,44 @@ def test_parameters_for_another_node_only_are_refused(tmp_path):
     assert process_fails('--ros-args', '--params-file', str(path)) == (
         'simulate: --params-file: expected parameters for the node /simulate, got some for '
         '/filter_node only\n')
+
+
+# What drives a model with inputs
+
+YARD = {
+    'use_sim_time': True, 'model.name': 'unicycle_2d', 'filter.type': 'ekf', 'frame_id': 'hall',
+    'grid.lower': [-9.0, -9.0, -4.0], 'grid.upper': [9.0, 9.0, 4.0], 'grid.shape': [4, 4, 4],
+    'prior.mean': [0.0] * 3, 'prior.covariance_diagonal': [0.1] * 3, 'kernel.time_step': 0.1,
+    'control.topic': 'wheels', 'measurements.main.topic': 'fix',
+    'measurements.main.type': 'sensor_msgs/msg/JointState',
+    'measurements.main.fields': ['position'], 'measurements.main.sensor': 'position',
+    'measurements.main.params.sigma': 0.3}
+
+
+def test_what_drives_is_heard_once_at_the_beginning_of_each_interval(graph):
+    listener = graph.add(Listener(graph, wheels=TwistStamped, fix=JointState))
+    player = simulator(graph, YARD)
+    player.play(spinner(graph))
+    controls = player.scenario.controls
+    graph.until(lambda: len(listener.measured) == 2 * len(controls.values), 'all is heard')
+    heard = [message for topic, message in listener.measured if topic == 'wheels']
+    assert tuple(stamps(heard)) == controls.stamps_ns
+    assert tuple((m.twist.linear.x, m.twist.angular.z) for m in heard) == controls.values
+
+
+def test_says_that_nobody_hears_what_drives(graph):
+    graph.add(Listener(graph, fix=JointState))
+    player = simulator(graph, YARD, timeout=0.5)
+    with pytest.raises(TimeoutError, match='nobody at /wheels after'):
+        player.play(spinner(graph))
+
+
+@pytest.mark.parametrize(('parameters', 'line'), [
+    ({'control.type': 'geometry_msgs/msg/Twist', 'control.fields': ['linear.x', 'angular.z']},
+     'speed: expected one above 0 where messages bear no stamp (geometry_msgs/msg/Twist)'),
+    ({'control.fields': ['twist.linear.x']}, 'control.fields: expected fields that hold 2 numb'),
+    ({'control.type': 'no'}, 'control.type: expected a message type such as')])
+def test_refuses_a_control_that_cannot_be_sent(graph, parameters, line):
+    with pytest.raises(ConfigError) as refused:
+        simulator(graph, {**YARD, **parameters}, speed=0.0)
+    assert str(refused.value).startswith(line)

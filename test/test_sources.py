@@ -34,26 +34,26 @@ JOINTS = source('sensor_msgs/msg/JointState', 'position')
 def reason(message, of=JOINTS, now=NOW):
     """Return why a message is refused, and the sentence."""
     with pytest.raises(Refused) as refused:
-        of.measurement(message, now)
+        of.item(message, now)
     return refused.value.reason, str(refused.value)
 
 
 def test_a_message_without_a_header_is_measured_at_its_arrival():
     plain = source('std_msgs/msg/Float64MultiArray')
-    assert plain.measurement(Float64MultiArray(data=[1.5, -2.0]), NOW) == Measurement(
+    assert plain.item(Float64MultiArray(data=[1.5, -2.0]), NOW) == Measurement(
         NOW, 'main', (1.5, -2.0))
 
 
 def test_a_message_with_a_header_is_measured_at_its_stamp():
     stamp = NOW - 123_456_789
-    assert JOINTS.measurement(joints(0.25, 3.0, stamp_ns=stamp), NOW) == Measurement(
+    assert JOINTS.item(joints(0.25, 3.0, stamp_ns=stamp), NOW) == Measurement(
         stamp, 'main', (0.25, 3.0))
 
 
 def test_a_stamp_with_more_than_a_second_of_nanoseconds_carries():
     message = joints(0.0, 0.0)
     message.header.stamp.sec, message.header.stamp.nanosec = 10, 2_500_000_000
-    assert JOINTS.measurement(message, NOW).stamp_ns == 12_500_000_000
+    assert JOINTS.item(message, NOW).stamp_ns == 12_500_000_000
 
 
 def test_a_measurement_is_made_of_several_fields_in_the_order_given():
@@ -61,20 +61,20 @@ def test_a_measurement_is_made_of_several_fields_in_the_order_given():
     message.header.stamp.sec = 7
     message.point.x, message.point.y, message.point.z = 1.0, 2.0, 3.0
     flipped = source('geometry_msgs/msg/PointStamped', 'point.z', 'point.x')
-    assert flipped.measurement(message, NOW).values == (3.0, 1.0)
+    assert flipped.item(message, NOW).values == (3.0, 1.0)
 
 
 def test_a_single_precision_value_is_measured_as_it_is():
     message = Range(range=0.1)
     message.header.stamp.sec = 7
     heard = deserialize_message(serialize_message(message), Range)
-    seen = source('sensor_msgs/msg/Range', 'range', sensor=ONE).measurement(heard, NOW)
+    seen = source('sensor_msgs/msg/Range', 'range', sensor=ONE).item(heard, NOW)
     assert seen.values == (float(np.float32(0.1)),)
 
 
 def test_bytes_are_numbers():
     octets = source('std_msgs/msg/UInt8MultiArray')
-    assert octets.measurement(UInt8MultiArray(data=[3, 255]), NOW).values == (3.0, 255.0)
+    assert octets.item(UInt8MultiArray(data=[3, 255]), NOW).values == (3.0, 255.0)
 
 
 @pytest.mark.parametrize('values', [(), (1.0,), (1.0, 2.0, 3.0)], ids=len)
@@ -91,7 +91,7 @@ def test_an_array_that_is_too_short_for_its_field_is_refused():
     why, sentence = reason(message, scan)
     assert why == 'wrong length' and 'too short' in sentence
     message.ranges.append(4.0)
-    assert scan.measurement(message, NOW).values == (1.0, 4.0)
+    assert scan.item(message, NOW).values == (1.0, 4.0)
 
 
 @pytest.mark.parametrize('value', [float('nan'), float('inf'), -float('inf')])
@@ -108,7 +108,7 @@ def test_a_stamp_that_is_none_is_refused(stamp_ns):
 
 def test_a_stamp_may_be_ahead_of_the_clock_by_so_much_and_no_more():
     ahead = source('sensor_msgs/msg/JointState', 'position', max_ahead=0.25)
-    assert ahead.measurement(joints(1.0, 2.0, stamp_ns=NOW + 250_000_000), NOW)
+    assert ahead.item(joints(1.0, 2.0, stamp_ns=NOW + 250_000_000), NOW)
     why, sentence = reason(joints(1.0, 2.0, stamp_ns=NOW + 250_000_001), ahead)
     assert why == 'from the future' and 'time.max_ahead' in sentence
 
@@ -132,9 +132,9 @@ def test_fields_that_a_type_has_not_are_blamed_on_the_fields():
 def test_a_message_without_a_header_holds_when_it_arrived_not_when_it_was_read():
     plain = source('std_msgs/msg/Float64MultiArray')
     message = Float64MultiArray(data=[1.0, 2.0])
-    assert plain.measurement(message, NOW, NOW - 3_000_000_000).stamp_ns == NOW - 3_000_000_000
+    assert plain.item(message, NOW, NOW - 3_000_000_000).stamp_ns == NOW - 3_000_000_000
     # a clock that was set back in between does not make a stamp from the future
-    assert plain.measurement(message, NOW, NOW + 5).stamp_ns == NOW
+    assert plain.item(message, NOW, NOW + 5).stamp_ns == NOW
 
 
 @pytest.mark.parametrize('low, high, value, good', [
@@ -145,7 +145,7 @@ def test_a_range_that_saw_nothing_is_no_measurement(low, high, value, good):
     message = Range(min_range=low, max_range=high, range=value)
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(NOW, 10**9)
     if good:
-        assert echo.measurement(message, NOW).values == (value,)
+        assert echo.item(message, NOW).values == (value,)
     else:
         why, sentence = reason(message, echo)
         assert why == 'out of range' and f'{value:g}' in sentence

@@ -75,24 +75,30 @@ def test_the_node_believes_of_a_simulation_what_the_library_does_to_the_last_bit
         path, graph, tmp_path):
     over = write_parameters(tmp_path / 'over.yaml', changes(path))
     node, player = played(graph, path, '--params-file', str(over))
-    tracker = build_tracker(node.config)
+    tracker, controls = build_tracker(node.config), player.scenario.controls
     for k in range(COUNT):
+        if controls.values:
+            assert tracker.control(controls.stamps_ns[k], controls.values[k]) is None
         for outlet in player._outlets:
             for measurement in heard(player, outlet, k):
                 assert tracker.observe(measurement) is None
         tracker.estimate()
+    if controls.values:
+        graph.until(lambda: node.accounts.control.accepted == COUNT, 'all controls')
     found, expected = node.tracker.estimate(), tracker.estimate()
     assert found.stamp_ns == expected.stamp_ns == BEGIN_NS + player.scenario.elapsed_ns[-1]
     assert found.total_log_evidence == expected.total_log_evidence
-    assert _density(found.belief).tobytes() == _density(expected.belief).tobytes()
+    assert _bits(found.belief) == _bits(expected.belief)
     for name in player.scenario.measurements:
         assert node.accounts.sources[name].accepted == COUNT
     assert node.faults == 0
 
 
-def _density(belief: Any) -> Any:
-    """Return the density of a belief; of one that remembers its path, that of now."""
-    return getattr(belief, 'now', belief).density
+def _bits(belief: Any) -> tuple[bytes, ...]:
+    """Return the moments of a belief and its density, where it has one; of a path's, of now."""
+    now = getattr(belief, 'now', belief)
+    return (now.mean().tobytes(), now.covariance().tobytes(),
+            getattr(now, 'density', now.mean()).tobytes())
 
 
 @pytest.mark.parametrize('name', SYSTEMS)

@@ -10,7 +10,7 @@ import math
 from typing import Any, TypeVar
 
 import numpy as np
-from pif_ros.config.filters import held_bytes, make_filter
+from pif_ros.config.filters import make_filter
 from pif_ros.config.kinds import ConfigError, named
 from pif_ros.config.table import Config
 from pif_ros.core.filters import Filter
@@ -27,13 +27,14 @@ def build_tracker(config: Config) -> Tracker[Any]:
     system = find_system(config)
     filter_ = build_filter(config, system)
     prior = _prior(config, filter_, system.model)
-    depth = min(config.time.history_memory * 1e6 / held_bytes(prior), 1e9)
-    return Tracker(filter_, prior, config.time.history, max(int(depth), 2))
+    return Tracker(filter_, prior, config.time.history, config.time.history_memory * 1e6,
+                   config.control.hold)
 
 
 def build_filter(config: Config, system: System) -> Filter[Any]:
     """Return the filter of a configuration over a system."""
     model = _in_sense(config, system.model)
+    _check_control(config, model)
     sensors = {name: _sensor(config, name, system) for name in config.measurements.names}
     return make_filter(config, model, find_grid(config, model), sensors)
 
@@ -77,6 +78,19 @@ def state_axes(name: str, given: Sequence[str], model: StateModel) -> tuple[int 
     if len({state for state in given if state}) < sum(map(bool, given)):
         raise ConfigError(f'{name}: expected each state once, got {list(given)}')
     return tuple(model.names.index(state) if state else None for state in given)
+
+
+def _check_control(config: Config, model: StateModel) -> None:
+    """Refuse a control that nothing would listen to, and a model that nothing would drive."""
+    kind, name = config.filter.type, config.model.name
+    if model.inputs and kind == 'dfy':
+        raise ConfigError(f'filter.type: expected one that takes the inputs of {name} '
+                          f'({", ".join(model.inputs)}), got {kind!r}')
+    for spec in dataclasses.fields(config.control):
+        given = getattr(config.control, spec.name)
+        if not model.inputs and given != spec.default:
+            raise ConfigError(f'control.{spec.name}: expected {spec.default!r} where the model '
+                              f'has no inputs ({name}), got {given!r}')
 
 
 def _in_sense(config: Config, model: StateModel) -> StateModel:

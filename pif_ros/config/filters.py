@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 from pif_ros.config.kinds import ConfigError, named
 from pif_ros.config.table import Config
-from pif_ros.core.continuous import (DiracFeynmanYauFilter, ExtendedKalmanBucyFilter,
-                                     PathBelief)
+from pif_ros.core.active import ActiveGridFilter, RegionSettings
+from pif_ros.core.continuous import DiracFeynmanYauFilter, ExtendedKalmanBucyFilter
 from pif_ros.core.filters import DiracFeynmanFilter, Filter
 from pif_ros.core.grid import Grid
-from pif_ros.core.kernels import KernelSettings, OperatorSettings, stored_elements
+from pif_ros.core.kernels import chosen_form, KernelSettings, OperatorSettings, stored_weights
 from pif_ros.core.models import Sensor, StateModel
-from pif_ros.core.rivals import (ExtendedKalmanFilter, ParticleBelief, ParticleFilter,
-                                 UnscentedKalmanFilter)
+from pif_ros.core.rivals import ExtendedKalmanFilter, ParticleFilter, UnscentedKalmanFilter
 
 #: What measures a path, of which there can be one only.
 OF_A_PATH = ('dfy', 'ekf_continuous')
@@ -40,14 +39,15 @@ def make_filter(config: Config, model: StateModel, grid: Grid,
                           f'filter.type {kind!r}, got {list(sensors)}')
     if kind != 'df':
         _refuse_what_is_not_used(config, kind)
+    if kind == 'df' and _is_active(config, model):
+        return _active_filter(config, model, grid, sensors)
     if kind in ('df', 'dfy'):
-        # an operator of several steps has about as many weights as a kernel of one long step
-        _check_grid_memory(model, grid, dataclasses.replace(
-            settings, time_step=settings.time_step * config.operator.steps))
+        operator = _operator(config, model)
+        settings = _with_form(model, grid, settings, operator)
     with named('filter'):
         if kind == 'df':
             return DiracFeynmanFilter(model, grid, sensors, settings, config.filter.average_cells,
-                                      config.filter.significance, _operator(config, model))
+                                      config.filter.significance, operator)
         if kind == 'dfy':
             return DiracFeynmanYauFilter(model, grid, sensors, settings, config.filter.scheme,
                                          config.filter.average_cells)
@@ -61,6 +61,34 @@ def make_filter(config: Config, model: StateModel, grid: Grid,
         if kind == 'ekf_continuous':
             return ExtendedKalmanBucyFilter(model, sensors, settings.time_step, grid)
         return UnscentedKalmanFilter(model, sensors, settings.time_step, grid)
+
+
+def _is_active(config: Config, model: StateModel) -> bool:
+    """Return whether only the cells where the belief is are worked on."""
+    kind = config.region.kind
+    return kind == 'active' or kind == 'auto' and bool(model.inputs)
+
+
+def _active_filter(config: Config, model: StateModel, grid: Grid,
+                   sensors: Mapping[str, Sensor]) -> ActiveGridFilter:
+    """Return the filter that works where the belief is."""
+    why = 'where only active cells are worked on'
+    _expect_defaults('operator', config.operator, why)
+    _expect_defaults('filter', config.filter, why, 'significance')
+    for field in dataclasses.fields(config.kernel):
+        if field.name not in ('time_step', 's'):
+            _expect_defaults('kernel', config.kernel, why, field.name)
+    if config.prior.type == 'uniform':
+        _check('grid.shape: expected a grid whose uniform prior fits', list(grid.shape),
+               8.0 * ARRAYS_PER_GRID * float(np.prod(np.array(grid.shape, dtype=float))))
+    with named('region'):
+        region = RegionSettings(config.region.negligible, config.region.resolution,
+                                config.region.finest)
+    try:
+        return ActiveGridFilter(model, grid, sensors, config.kernel.time_step,
+                                config.filter.average_cells, region)
+    except ValueError as error:
+        raise ConfigError(f'region.kind: {str(error).removeprefix("region: ")}') from None
 
 
 def describe(config: Config, filter_: Filter[Any]) -> str:
@@ -83,21 +111,13 @@ def describe(config: Config, filter_: Filter[Any]) -> str:
         raise ConfigError(f'{section}.{text}' if section else f'model.name: {text}') from None
 
 
-def held_bytes(belief: Any) -> int:
-    """Return about how many bytes a belief holds."""
-    if isinstance(belief, PathBelief):
-        return 2 * held_bytes(belief.now)
-    if isinstance(belief, ParticleBelief):
-        return int(belief.points.nbytes + belief.log_weights.nbytes)
-    density = getattr(belief, 'density', None)
-    return 1000 if density is None else int(density.nbytes)
-
-
 def _settings(config: Config) -> KernelSettings:
     kernel = config.kernel
     with named('kernel'):
         return KernelSettings(kernel.time_step, kernel.r, kernel.jacobian, kernel.extent,
-                              kernel.weights, kernel.tolerance, kernel.noise_inflation)
+                              kernel.weights, kernel.tolerance, kernel.noise_inflation,
+                              kernel.form if config.filter.type == 'df' else 'tabulated',
+                              kernel.macro_error)
 
 
 def _operator(config: Config, model: StateModel) -> OperatorSettings:
@@ -118,6 +138,7 @@ def _refuse_what_is_not_used(config: Config, kind: str) -> None:
     why = f'with filter.type {kind!r}'
     _expect_defaults('operator', config.operator, why)
     _expect_defaults('filter', config.filter, why, 'significance')
+    _expect_defaults('kernel', config.kernel, why, 'form', 'macro_error')
     if kind != 'dfy':
         _expect_defaults('kernel', config.kernel, why, 'extent', 'noise_inflation')
 
@@ -131,13 +152,33 @@ def _expect_defaults(section: str, settings: Any, why: str, *names: str) -> None
                               f'got {given!r}')
 
 
-def _check_grid_memory(model: StateModel, grid: Grid, settings: KernelSettings) -> None:
+def _with_form(model: StateModel, grid: Grid, settings: KernelSettings,
+               operator: OperatorSettings) -> KernelSettings:
+    """Return settings with the form of kernel that is asked for, or suits, or else fits."""
+    if settings.form == 'auto' and operator != OperatorSettings():
+        settings = dataclasses.replace(settings, form='tabulated')
+    # before a form is chosen, for which a kernel may have to be made
+    _check_grid_memory(model, grid, settings, operator)
+    with named('kernel'):
+        form = chosen_form(model, grid, settings, operator)
+    try:
+        _check_grid_memory(model, grid, dataclasses.replace(settings, form=form), operator)
+    except ConfigError:
+        # the other form does, and is possible; where it is not good it says so
+        form = 'split'
+    return dataclasses.replace(settings, form=form)
+
+
+def _check_grid_memory(model: StateModel, grid: Grid, settings: KernelSettings,
+                       operator: OperatorSettings) -> None:
     """Refuse a grid or a kernel that would not fit, before anything of its size is made."""
     cells, where = float(np.prod(np.array(grid.shape, dtype=float))), list(grid.shape)
     fits = cells < np.iinfo(np.int32).max
     needed = 8 * ARRAYS_PER_GRID * cells
     if fits:
-        needed += BYTES_PER_WEIGHT * stored_elements(model, grid, settings)
+        # an operator of several steps has about as many weights as a kernel of one long step
+        longer = dataclasses.replace(settings, time_step=settings.time_step * operator.steps)
+        needed += BYTES_PER_WEIGHT * stored_weights(model, grid, longer, settings.form)
     _check('grid.shape: expected a grid whose kernel fits', where, needed, fits)
 
 

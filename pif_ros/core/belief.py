@@ -68,6 +68,11 @@ class GridBelief:
         """Return the probability on the grid."""
         return float(self.density.sum() * self.grid.cell_volume)
 
+    @property
+    def nbytes(self) -> int:
+        """Return the memory that it takes, in bytes."""
+        return self.density.nbytes
+
     def normalised(self) -> GridBelief:
         """Return the same belief with mass 1."""
         return GridBelief(self.grid, self.density / self.mass)

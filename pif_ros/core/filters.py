@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.controls import Controls, NANOSECONDS, NO_CONTROLS
 from pif_ros.core.grid import Grid
-from pif_ros.core.kernels import (kernel_of, KernelSettings, Operator, operator_of,
-                                  OperatorSettings, stored_elements)
+from pif_ros.core.kernels import (chosen_form, KernelSettings, ladder, longer_kernel, Operator,
+                                  operator_of, OperatorSettings, step_kernel, step_remarks,
+                                  stored_weights, turned)
 from pif_ros.core.likelihood import GridLikelihood
 from pif_ros.core.models import Sensor, StateModel
-from scipy import sparse
 
 Array = NDArray[np.float64]
-Belief = TypeVar('Belief')
 
-NANOSECONDS = 1_000_000_000
 #: A density below this is none: a subnormal number costs as much as a hundred others.
 NEGLIGIBLE = 1e-290
 #: An evidence below this share of the largest likelihood may have lost digits to underflow.
 UNSAFE = 1e-200
 #: What the kernels of a model that changes with time may take together.
 KEPT_BYTES = 5e8
+
+
+class Held(Protocol):
+    """What is kept in memory."""
+
+    @property
+    def nbytes(self) -> int:
+        """Return how many bytes it takes there."""
+
+
+Belief = TypeVar('Belief', bound=Held)
 
 
 class Filter(Protocol[Belief]):
@@ -51,11 +61,13 @@ class Filter(Protocol[Belief]):
     def uniform(self) -> Belief:
         """Return the belief to start with where nothing is known but the box."""
 
-    def predict(self, belief: Belief, from_ns: int, to_ns: int) -> Belief:
+    def predict(self, belief: Belief, from_ns: int, to_ns: int,
+                controls: Controls = NO_CONTROLS) -> Belief:
         """
         Return the belief carried from one stamp to a later one, in steps from the first.
 
         Whole steps may be taken in any number of calls: the result is the same to the bit.
+        controls: what drives a model with inputs; a step in which it changes is cut there.
         """
 
     def correct(self, belief: Belief, y: ArrayLike, sensor: str,
@@ -80,7 +92,7 @@ class DiracFeynmanFilter:
     sensors: by name; average_cells: whether a likelihood narrower than a cell is averaged over it
     instead of taken at its centre; significance: a measurement corrects only cells with more than
     this share of the densest one's density, and empties the others, 0 for all; operator: how
-    the kernel becomes the operator that moves the density.
+    the kernel becomes the operator that moves the density; form: that of the kernel, as chosen.
     """
 
     model: StateModel
@@ -90,20 +102,29 @@ class DiracFeynmanFilter:
     average_cells: bool = True
     significance: float = 0.0
     operator: OperatorSettings = OperatorSettings()
-    time_step_ns: int = field(init=False)
+    form: str = field(init=False)
 
     def __post_init__(self) -> None:
-        """Hold the step in whole nanoseconds, and refuse what does not fit the model."""
+        """Choose the form of the kernel, and refuse what does not fit the model."""
         if self.grid.ndim != self.model.ndim:
             raise ValueError(f'grid: expected {self.model.ndim} axes, one for each state, '
                              f'got {self.grid.ndim}')
+        if self.model.inputs:
+            raise ValueError('model: expected one without inputs, whose kernel can be made '
+                             f'beforehand, got the inputs {", ".join(self.model.inputs)}')
         if not 0 <= self.significance < 1:
             raise ValueError('significance: expected a share, 0 to below 1, '
                              f'got {self.significance!r}')
         if self.model.changes_with_time and self.operator != OperatorSettings():
             raise ValueError('operator: expected none of steps, file and wavelet where the model '
                              f'changes with time, got {self.operator}')
-        object.__setattr__(self, 'time_step_ns', self._kernel_ns * self.operator.steps)
+        object.__setattr__(self, 'form', chosen_form(self.model, self.grid, self.kernel,
+                                                     self.operator))
+
+    @cached_property
+    def time_step_ns(self) -> int:
+        """Return the longest step that is taken, in nanoseconds."""
+        return self._strides[0][0]
 
     def gaussian(self, mean: ArrayLike, covariance: ArrayLike) -> GridBelief:
         """Return a Gaussian density, cut at the edges of the grid."""
@@ -113,31 +134,40 @@ class DiracFeynmanFilter:
         """Return the density that knows nothing but the grid."""
         return GridBelief.uniform(self.grid)
 
-    def predict(self, belief: GridBelief, from_ns: int, to_ns: int) -> GridBelief:
+    def predict(self, belief: GridBelief, from_ns: int, to_ns: int,
+                controls: Controls = NO_CONTROLS) -> GridBelief:
         """
         Return the density carried from one stamp to a later one.
 
-        Whole steps are counted from from_ns; a remainder, a fraction a of a step, is the mixture
-        (1 - a) I + a K: positive, keeps mass, exact in the mean of a constant drift, and first
-        order in a otherwise.  Raises ValueError where to_ns lies before from_ns.
+        In the steps of steps().  Raises ValueError where to_ns lies before from_ns.
         """
         if to_ns < from_ns:
             raise ValueError(f'to_ns: expected a stamp from {from_ns} on, got {to_ns}')
         if to_ns == from_ns:
             return belief
-        strides, left = divmod(to_ns - from_ns, self.time_step_ns)
-        steps, rest = divmod(left, self._kernel_ns)
-        p, t = belief.density.ravel(), from_ns
-        for _ in range(strides):
+        p = belief.density.ravel()
+        for t, operator_at, a in self.steps(from_ns, to_ns):
             # p(x'') = sum_x' K(x'', x') p(x')  [Sensors, Eq. 26]
-            p, t = self.operator_at(t) @ p, t + self.time_step_ns
-        for _ in range(steps):
-            p, t = self.kernel_at(t) @ p, t + self._kernel_ns
-        if rest:
-            a = rest / self._kernel_ns
-            moved = self.kernel_at(t) @ p
-            p = moved * a + p * (1 - a)
+            moved = operator_at(t) @ p
+            p = moved if a == 1 else moved * a + p * (1 - a)
         return GridBelief(self.grid, p.reshape(self.grid.shape))
+
+    def steps(self, from_ns: int,
+              to_ns: int) -> Iterator[tuple[int, Callable[[int], Operator], float]]:
+        """
+        Give each step of a prediction: its stamp, what gives its operator K, and a share a of it.
+
+        The longest first, counted from from_ns; a remainder, a fraction a of a step, is the
+        mixture (1 - a) I + a K: positive, keeps mass, exact in the mean of a constant drift, and
+        first order in a otherwise.
+        """
+        t = from_ns
+        for length, operator_at in self._strides:
+            for _ in range((to_ns - t) // length):
+                yield t, operator_at, 1.0
+                t += length
+        if t < to_ns:
+            yield t, self.kernel_at, (to_ns - t) / self._kernel_ns
 
     @np.errstate(over='ignore', invalid='ignore')
     def correct(self, belief: GridBelief, y: ArrayLike, sensor: str,
@@ -177,19 +207,17 @@ class DiracFeynmanFilter:
         """Return the log evidence of a measurement that is just as the belief is sure it is."""
         return self.sensors[sensor].log_peak(at_ns / NANOSECONDS)
 
-    def kernel_at(self, t_ns: int) -> sparse.csr_array:
-        """Return the kernel of the step that starts at a stamp."""
-        if not self.model.changes_with_time:
-            return self._kernels(0)
-        period_ns = self._period_ns
-        # exactly, since a period that is rounded drifts away over many
-        return self._kernels(round(t_ns % period_ns) if period_ns else t_ns)
+    def kernel_at(self, t_ns: int) -> Operator:
+        """Return the kernel of the step that starts at a stamp; split, it alternates its order."""
+        phase = 0
+        if self.model.changes_with_time:
+            # exactly, since a period that is rounded drifts away over many
+            phase = round(t_ns % self._period_ns) if self._period_ns else t_ns
+        return turned(self._kernels(phase), self._kernel_ns, t_ns)
 
     def operator_at(self, t_ns: int) -> Operator:
         """Return the operator of the time_step_ns that start at a stamp."""
-        if self.operator.steps == 1 and not self.operator.wavelet:
-            return self.kernel_at(t_ns)
-        return self._whole_operator
+        return self._strides[0][1](t_ns)
 
     def describe(self) -> str:
         """Return the size of grid and kernel; the first kernel is made now."""
@@ -198,14 +226,18 @@ class DiracFeynmanFilter:
             return f'{cells}, a kernel for every step'
         operator, how = self.operator_at(0), self.operator
         basis = f' in the basis {how.wavelet}' if how.wavelet else ''
-        steps = f' of {how.steps} steps' if how.steps > 1 else ''
-        return (f'{cells}, a kernel{steps} of {operator.nnz:,} weights{basis} '
+        count = self.time_step_ns // self._kernel_ns
+        steps = f' of {count} steps' if count > 1 else ''
+        split = ' split by axis,' if self.form == 'split' else ''
+        return (f'{cells}, a kernel{steps}{split} of {operator.nnz:,} weights{basis} '
                 f'({12e-6 * operator.nnz:.1f} MB)')
 
     def remarks(self) -> list[str]:
-        """Return how the grid fits the sensors, a sentence for each that it does not fit."""
-        return [remark for name, likelihood in self._likelihoods.items()
-                for remark in likelihood.remarks(name)]
+        """Return how the grid fits step and sensors, a sentence for each that it does not fit."""
+        split = self._kernels(0) if self.form == 'split' else None
+        return step_remarks(self.model, self.grid, self.kernel, split) + [
+            remark for name, likelihood in self._likelihoods.items()
+            for remark in likelihood.remarks(name)]
 
     def _significant(self, p: Array) -> NDArray[np.intp] | None:
         """Return the cells that a measurement corrects, None for all."""
@@ -214,18 +246,34 @@ class DiracFeynmanFilter:
         return np.flatnonzero(p > self.significance * p.max())
 
     @cached_property
-    def _kernels(self) -> Callable[[int], sparse.csr_array]:
+    def _strides(self) -> Sequence[tuple[int, Callable[[int], Operator]]]:
+        """Return lengths of steps in nanoseconds, the longest first, with what gives operators."""
+        single = [(self._kernel_ns, self.kernel_at)]
+        if self.operator.steps > 1 or self.operator.wavelet:
+            whole = self._kernel_ns * self.operator.steps
+            return [(whole, lambda t_ns: self._whole_operator), *single]
+        if not self.kernel.macro_error:
+            return single
+        rungs = ladder(lambda seconds: longer_kernel(
+            self.model, self.grid, replace(self.kernel, time_step=seconds), self.form),
+            self._kernels(0), self.grid, self.kernel.time_step, self.kernel.macro_error)
+        return [(self._kernel_ns << j, partial(turned, rung, self._kernel_ns << j))
+                for j, rung in enumerate(rungs)][::-1]
+
+    @cached_property
+    def _kernels(self) -> Callable[[int], Operator]:
         # a model that changes with time comes back to the same stamps when it replays, and to
         # the same phases of its period
         phases = self._period_ns / self._kernel_ns
-        most = KEPT_BYTES / (12 * stored_elements(self.model, self.grid, self.kernel))
+        most = KEPT_BYTES / (12 * stored_weights(self.model, self.grid, self.kernel, self.form))
         count = max(16, phases if phases.denominator == 1 else 0)
-        return lru_cache(maxsize=max(2, int(min(count, most))))(lambda t_ns: kernel_of(
-            self.model, self.grid, self.kernel, self.operator, t_ns / NANOSECONDS))
+        return lru_cache(maxsize=max(2, int(min(count, most))))(
+            lambda t_ns: step_kernel(self.model, self.grid, self.kernel, self.operator, self.form,
+                                     t_ns / NANOSECONDS))
 
     @cached_property
     def _whole_operator(self) -> Operator:
-        return operator_of(self.kernel_at(0), self.grid, self.kernel, self.operator)
+        return operator_of(self._kernels(0), self.grid, self.kernel, self.operator)
 
     @cached_property
     def _period_ns(self) -> Fraction:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,8 @@ from pif_ros.core.belief import check_covariance
 
 Array = NDArray[np.float64]
 Field = Callable[[Array, float], Array]
+#: A field of (x, t), or of (x, u, t) where there are inputs.
+Driven = Callable[..., Array]
 Matrix = Array | Callable[[float], Array]
 
 
@@ -29,24 +31,31 @@ class StateModel:
     period: seconds after which all that depends on time comes again, 0 for never, so that kernels
     of the same phase are made once; s: the sense of multiplicative noise, for which e is taken at
     x' + s (x'' - x') of a step from x' to x'': 0 is Ito's, 1/2 Stratonovich's; units: one per
-    state, for the reader.
+    state, for the reader; inputs: the names of the components of a control u, and where there are
+    any, the drift is f(x, u, t) with u (m,), its Jacobian likewise, and under(u) is the model that
+    can be asked for them; homogeneous: the states that the drift does not depend on.
     """
 
     names: tuple[str, ...]
-    drift: Field
+    drift: Driven
     vielbein: Matrix | Field
     noise_covariance: Matrix | None = None
-    drift_jacobian: Field | None = None
+    drift_jacobian: Driven | None = None
     time_dependent: bool = False
     units: tuple[str, ...] = ()
     multiplicative: bool = False
     vielbein_jacobian: Field | None = None
     s: float = 0.0
     period: float = 0.0
+    inputs: tuple[str, ...] = ()
+    homogeneous: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a constant e or Q that does not fit the states, or is none."""
         columns = None
+        if any(not 0 <= i < self.ndim for i in self.homogeneous):
+            raise ValueError(f'homogeneous: expected numbers of states, 0 to {self.ndim - 1}, '
+                             f'got {list(self.homogeneous)}')
         if not 0 <= self.period < np.inf:
             raise ValueError(f'period: expected seconds, 0 or more, got {self.period!r}')
         if not 0 <= self.s <= 1:
@@ -68,6 +77,27 @@ class StateModel:
     def ndim(self) -> int:
         """Return the number of states."""
         return len(self.names)
+
+    def under(self, u: Sequence[float]) -> StateModel:
+        """
+        Return the plain model under a constant control u (m,); an empty u stands for zeros.
+
+        A model without inputs is that itself.  Raises ValueError for another number of components.
+        """
+        return self if not self.inputs else self._under(tuple(map(float, u)))
+
+    @cached_property
+    def _under(self) -> Callable[[tuple[float, ...]], StateModel]:
+        # steps of one interval ask for the same again and again
+        return lru_cache(maxsize=16)(self._made_under)
+
+    def _made_under(self, u: tuple[float, ...]) -> StateModel:
+        if u and len(u) != len(self.inputs):
+            raise ValueError(f'u: expected {len(self.inputs)} components ('
+                             f'{", ".join(self.inputs)}), got {len(u)}')
+        value, f, slope = np.array(u or (0.0,) * len(self.inputs)), self.drift, self.drift_jacobian
+        return replace(self, drift=lambda x, t: f(x, value, t), inputs=(),
+                       drift_jacobian=slope and (lambda x, t: slope(x, value, t)))
 
     @property
     def changes_with_time(self) -> bool:
@@ -150,13 +180,14 @@ class Sensor:
 
     function: h(x, t) maps states (n, ...) to measurements (m, ...); covariance: R, (m, m) or a
     function of t; angular: which components are angles in radians, compared on the circle;
-    time_dependent: whether h depends on t.
+    time_dependent: whether h depends on t; states: those that h depends on, where that is known.
     """
 
     function: Field
     covariance: Matrix
     angular: tuple[bool, ...] = ()
     time_dependent: bool = False
+    states: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         """Refuse a constant R that is no covariance."""

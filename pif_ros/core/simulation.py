@@ -2,40 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 import math
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
+from pif_ros.core.controls import Controls, driven, NANOSECONDS, NO_CONTROLS
 from pif_ros.core.models import Sensor, StateModel
 
 Array = NDArray[np.float64]
 
 
 def simulate(model: StateModel, x0: ArrayLike, times: ArrayLike, rng: Generator,
-             substeps: int = 1) -> Array:
+             substeps: int = 1, controls: Controls = NO_CONTROLS) -> Array:
     """
     Return sample paths at some times in seconds, shape (len(times), n, ...).
 
     x0: the states (n, ...) at the first time.  Every interval is cut into substeps of the
-    Euler-Maruyama scheme, whose moments are right to first order in their length.
+    Euler-Maruyama scheme, whose moments are right to first order in their length; one in which the
+    controls of a model with inputs change is cut there.
     """
     x, times = np.array(x0, dtype=float), np.asarray(times, dtype=float)
     kick, path = _noise(model), np.empty((len(times),) + x.shape)
     path[0] = x
     for k, interval in enumerate(np.diff(times)):
         dt = interval / substeps
-        for t in times[k] + dt * np.arange(substeps):
-            # x'' = x' + f(x', t') dt + e(x', t') dv, f in the sense of Ito
-            x = x + model.ito_drift(x, t) * dt + np.sqrt(dt) * kick(x, t, rng)
+        for begin in times[k] + dt * np.arange(substeps):
+            for t, h, plain in _driven(model, controls, begin, dt):
+                # x'' = x' + f(x', t') h + e(x', t') dv, f in the sense of Ito
+                x = x + plain.ito_drift(x, t) * h + np.sqrt(h) * kick(x, t, rng)
         path[k + 1] = x
     return path
 
 
 def simulate_inside(model: StateModel, draw: Callable[[Generator], ArrayLike], times: ArrayLike,
                     rng: Generator, lower: ArrayLike, upper: ArrayLike, substeps: int = 1,
-                    attempts: int = 1000) -> Array:
+                    attempts: int = 1000, controls: Controls = NO_CONTROLS) -> Array:
     """
     Return the first sample path that stays within a box, shape (len(times), n).
 
@@ -44,7 +47,7 @@ def simulate_inside(model: StateModel, draw: Callable[[Generator], ArrayLike], t
     """
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     for _ in range(attempts):
-        path = simulate(model, draw(rng), times, rng, substeps)
+        path = simulate(model, draw(rng), times, rng, substeps, controls)
         if np.all((path >= lower) & (path <= upper)):
             return path
     raise RuntimeError(f'attempts: expected a path that stays between {lower.tolist()} and '
@@ -85,6 +88,17 @@ def refined(times: ArrayLike, substeps: int) -> Array:
     inner = np.arange(substeps) / substeps
     fine = times[:-1, None] + np.diff(times)[:, None] * inner
     return np.append(fine.ravel(), times[-1])
+
+
+def _driven(model: StateModel, controls: Controls, t: float,
+            dt: float) -> Iterator[tuple[float, float, StateModel]]:
+    """Yield the starts, the lengths and the plain models of a step that changes of u cut."""
+    if not model.inputs:
+        yield t, dt, model
+        return
+    stamps = round(t * NANOSECONDS), round((t + dt) * NANOSECONDS)
+    for start, end, plain in driven(model, controls, *stamps):
+        yield start / NANOSECONDS, (end - start) / NANOSECONDS, plain
 
 
 def _noise(model: StateModel) -> Callable[[Array, float, Generator], Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 import math
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import DiracFeynmanFilter
+from pif_ros.core.kernels import Operator
 from pif_ros.core.tracker import Measurement
 
 Array = NDArray[np.float64]
@@ -113,11 +114,10 @@ def _backward(filter_: DiracFeynmanFilter, gaps: list[_Gap],
     for gap in reversed(gaps):
         # p(x' | Y) = p(x' | Y') sum_x'' K(x'', x') p(x'' | Y) / p(x'' | Y')
         message = _ratio(belief.density.ravel(), gap.predicted.density.ravel())
-        steps = _steps(filter_, gap.start_ns, gap.end_ns)
+        steps = [_Step(*step) for step in filter_.steps(gap.start_ns, gap.end_ns)]
         forward = _carried(filter_, gap, steps) if every_step else {}
         for step in reversed(steps):
-            operator = filter_.operator_at if step.whole else filter_.kernel_at
-            moved = operator(step.start_ns).T @ message  # type: ignore[union-attr]
+            moved = step.operator_at(step.start_ns).T @ message  # type: ignore[attr-defined]
             message = moved if step.share == 1 else (
                 step.share * moved + (1 - step.share) * message)
             if step.start_ns in forward:
@@ -127,23 +127,13 @@ def _backward(filter_: DiracFeynmanFilter, gaps: list[_Gap],
             yield gap.start_ns, belief
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Step:
-    """A step of the filter: by its whole operator or its kernel, and what share of that."""
+    """A step of the filter: what gives its operator, and what share of that."""
 
     start_ns: int
-    whole: bool
+    operator_at: Callable[[int], Operator]
     share: float
-
-
-def _steps(filter_: DiracFeynmanFilter, start_ns: int, end_ns: int) -> list[_Step]:
-    """Return the steps that a prediction takes."""
-    whole, single = filter_.time_step_ns, filter_.time_step_ns // filter_.operator.steps
-    strides = (end_ns - start_ns) // whole
-    rest = start_ns + strides * whole
-    return ([_Step(start_ns + k * whole, True, 1.0) for k in range(strides)]
-            + [_Step(t, False, min(end_ns - t, single) / single)
-               for t in range(rest, end_ns, single)])
 
 
 def _carried(filter_: DiracFeynmanFilter, gap: _Gap,

@@ -1,20 +1,25 @@
 """
 Time: which measurement comes when, and what is believed at any moment.
 
-The posterior is a function of the ordered measurements alone.  Whatever the order of arrival
-within the history, and however often a forecast is asked for, the same measurements give the same
+The posterior is a function of the ordered measurements and controls alone.  Whatever the order of
+arrival within the history, and however often a forecast is asked for, the same ones give the same
 bits.
 """
 
 from __future__ import annotations
 
 import bisect
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 import math
-from typing import Generic
+from typing import Any, Generic
 
+from pif_ros.core.controls import Controls
 from pif_ros.core.filters import Belief, Filter, NANOSECONDS
+
+#: Controls kept at most: a quarter of an hour of a hundred a second, without a measurement.
+MOST_CONTROLS = 100_000
 
 
 @dataclass(frozen=True, order=True)
@@ -57,10 +62,11 @@ class Correction:
 
 
 class Rejection(Enum):
-    """Why a measurement cannot be put where it belongs."""
+    """Why a measurement or a control cannot be put where it belongs."""
 
     TOO_LATE = 'too late'
     DUPLICATE = 'duplicate'
+    TOO_MANY = 'too many'
 
 
 class CorrectionFailed(RuntimeError):
@@ -73,37 +79,44 @@ class CorrectionFailed(RuntimeError):
 
 class Tracker(Generic[Belief]):
     """
-    A filter's memory: measurements of the last seconds, and the belief after each.
+    A filter's memory: measurements and controls of the last seconds, and the belief after each.
 
     history: seconds back from the newest stamp within which a late measurement is still put where
-    it belongs, and everything after it replayed; depth: beliefs kept at most, whatever the
-    history.  A prior without a stamp holds at the first measurement's.
+    it belongs, and everything after it replayed; memory: bytes that the beliefs kept for that may
+    take, whatever the history, the newest apart; hold: seconds for which a control holds at most,
+    where no other follows.  A prior without a stamp holds at the first measurement's.
     """
 
     def __init__(self, filter_: Filter[Belief], prior: Belief, history: float = 1.0,
-                 depth: int = 1000) -> None:
+                 memory: float = 256e6, hold: float = 1.0) -> None:
         if not 0 <= history < math.inf:
             raise ValueError(f'history: expected seconds, 0 or more, got {history}')
-        if depth < 1:
-            raise ValueError(f'depth: expected at least 1 belief, got {depth}')
+        if not memory >= 0:
+            raise ValueError(f'memory: expected bytes, 0 or more, got {memory}')
+        if not 0 <= hold < math.inf:
+            raise ValueError(f'hold: expected seconds, 0 or more, got {hold}')
         self.filter = filter_
         self.prior = prior
         self._history_ns = round(history * NANOSECONDS)
-        self._depth = depth
+        self._hold_ns = round(hold * NANOSECONDS)
+        self._memory = memory
         self.reset()
 
     def reset(self, belief: Belief | None = None, stamp_ns: int | None = None) -> None:
-        """Forget all measurements, and start from a belief (the prior where none is given)."""
+        """Forget what was taken, and start from a belief (the prior where none is given)."""
         self._anchor = Estimate(stamp_ns, self.prior if belief is None else belief)
         self._anchored: Measurement | None = None
         self._timeline: list[Measurement] = []
         self._posteriors: list[Estimate[Belief]] = []
         self.corrections: list[Correction] = []
+        self._largest = 0
         self._rung: tuple[Estimate[Belief], int, Belief] | None = None
+        self._steered: list[tuple[int, tuple[float, ...]]] = []
+        self._controls: Controls | None = None
 
     @property
     def stamp_ns(self) -> int | None:
-        """Return the newest stamp that is known, None before there is one."""
+        """Return the newest stamp of a measurement, None before there is one."""
         return self._timeline[-1].stamp_ns if self._timeline else self._anchor.stamp_ns
 
     @property
@@ -125,6 +138,38 @@ class Tracker(Generic[Belief]):
             return Rejection.DUPLICATE
         self._timeline.insert(place, measurement)
         del self._posteriors[place:]
+        return None
+
+    def control(self, stamp_ns: int, values: Sequence[float]) -> Rejection | None:
+        """
+        Put a control where it belongs: it holds from its stamp on, and what it moves is replayed.
+
+        Of different ones with equal stamps the larger tuple counts, whichever comes first.  One
+        from before the belief that all else starts from is too late, unless nothing was measured
+        before that, and it may still hold then.  Raises ValueError where the values are not one
+        for each input of the model.
+        """
+        inputs = self.filter.model.inputs
+        # + 0.0: there is one zero only
+        value = tuple(float(v) + 0.0 for v in values)
+        if len(value) != len(inputs) or not inputs or not all(map(math.isfinite, value)):
+            raise ValueError(f'values: expected {len(inputs)} finite numbers '
+                             f'({", ".join(inputs) or "no inputs"}), got {list(value)}')
+        if stamp_ns < self._earliest_control_ns():
+            return Rejection.TOO_LATE
+        place = bisect.bisect_left(self._steered, stamp_ns, key=_stamp)
+        same = place < len(self._steered) and self._steered[place][0] == stamp_ns
+        if same and value <= self._steered[place][1]:
+            return Rejection.DUPLICATE
+        if not same and len(self._steered) >= MOST_CONTROLS:
+            return Rejection.TOO_MANY
+        self._steered[place:place + same] = [(stamp_ns, value)]
+        self._controls = None
+        # a posterior at the stamp itself was not moved by what holds from there on
+        del self._posteriors[bisect.bisect_right(
+            self._posteriors, stamp_ns, key=lambda e: e.stamp_ns or 0):]
+        self._cut_rung(stamp_ns)
+        self._forget_controls()
         return None
 
     def estimate(self, at_most: int | None = None) -> Estimate[Belief]:
@@ -150,6 +195,7 @@ class Tracker(Generic[Belief]):
                 raise CorrectionFailed(measurement) from error
             # what no state allows is not believed, and says nothing of what is
             weight = log_evidence if log_evidence > -math.inf else 0.0
+            self._largest = max(self._largest, belief.nbytes)
             self._posteriors.append(Estimate(measurement.stamp_ns, belief, log_evidence,
                                              before.total_log_evidence + weight))
             self.corrections.append(Correction(measurement, log_evidence, log_peak))
@@ -182,9 +228,48 @@ class Tracker(Generic[Belief]):
         if self._rung is not None and self._rung[0] is before and self._rung[1] <= steps:
             _, known, belief = self._rung
         whole, last = before.stamp_ns + known * step, before.stamp_ns + steps * step
-        belief = self.filter.predict(belief, whole, last)
+        controls = self._known_controls()
+        belief = self.filter.predict(belief, whole, last, controls)
         self._rung = (before, steps, belief)
-        return self.filter.predict(belief, last, stamp_ns)
+        return self.filter.predict(belief, last, stamp_ns, controls)
+
+    def _cut_rung(self, stamp_ns: int) -> None:
+        """Forget the steps of an earlier forecast where they go beyond a stamp."""
+        if self._rung is not None:
+            before, steps, _ = self._rung
+            if (before.stamp_ns or 0) + steps * self.filter.time_step_ns > stamp_ns:
+                self._rung = None
+
+    def _known_controls(self) -> Controls:
+        """Return the controls that were taken, as the filter wants them."""
+        if self._controls is None:
+            stamps, values = zip(*self._steered) if self._steered else ((), ())
+            self._controls = Controls(stamps, values, self._hold_ns)
+        return self._controls
+
+    def _oldest_ns(self) -> float:
+        """Return how far back the history reaches."""
+        if self._timeline:
+            return self._timeline[-1].stamp_ns - self._history_ns
+        return self._steered[-1][0] - self._history_ns if self._steered else -math.inf
+
+    def _earliest_control_ns(self) -> float:
+        """Return the stamp before which a control is too late."""
+        start, oldest = self._anchor.stamp_ns, self._oldest_ns()
+        if self._anchored is None and not (self._timeline and self._timeline[0].stamp_ns < oldest):
+            return (oldest if start is None else start) - self._hold_ns
+        return max(oldest if self._timeline else -math.inf, -math.inf if start is None else start)
+
+    def _forget_controls(self) -> None:
+        """Let go of controls that nothing is predicted with any more."""
+        start: Any = self._anchor.stamp_ns
+        if start is None:
+            start = min([self._oldest_ns(), *(m.stamp_ns for m in self._timeline[:1])])
+        # the last one before the start holds there
+        count = bisect.bisect_right(self._steered, start, key=_stamp) - 1
+        if count > 0:
+            del self._steered[:count]
+            self._controls = None
 
     def _forget(self) -> None:
         """Let go of what lies beyond the history; the last belief before it stays as anchor."""
@@ -192,7 +277,23 @@ class Tracker(Generic[Belief]):
             return
         oldest = self._timeline[-1].stamp_ns - self._history_ns
         count = bisect.bisect_left(self._timeline, oldest, key=lambda m: m.stamp_ns)
-        count = min(max(count, len(self._timeline) - self._depth), len(self._posteriors))
+        count = min(max(count, self._beyond_memory()), len(self._posteriors))
         if count > 0:
             self._anchor, self._anchored = self._posteriors[count - 1], self._timeline[count - 1]
             del self._timeline[:count], self._posteriors[:count]
+            self._forget_controls()
+
+    def _beyond_memory(self) -> int:
+        """Return how many of the oldest posteriors there is no memory for."""
+        left, count = self._memory, len(self._posteriors)
+        if count * self._largest <= left:
+            return 0
+        for newer, estimate in enumerate(reversed(self._posteriors)):
+            left -= estimate.belief.nbytes
+            if newer and left < 0:
+                return count - newer
+        return 0
+
+
+def _stamp(control: tuple[int, tuple[float, ...]]) -> int:
+    return control[0]

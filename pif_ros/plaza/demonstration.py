@@ -33,7 +33,7 @@ def demonstrate(wanted: Namespace, stopped: Callable[[], bool]) -> None:
     recording = load(wanted.recording, wanted.path)
     settings = Settings.from_values({
         'speed': wanted.speed, 'start': wanted.start, 'duration': wanted.duration,
-        'follow': f'{_FILTER}/pose'})
+        'follow': f'{_FILTER}/pose', 'odometry': False})
     settings.span.limits_ns(recording)
     wanted.out.mkdir(parents=True, exist_ok=True)
     params_file, log = parameters_for(recording, wanted.out), wanted.out / 'filter_node.log'

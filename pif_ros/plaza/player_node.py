@@ -1,4 +1,4 @@
-"""Plays a Plaza recording onto real topics: one Range topic per beacon, the truth, the clock."""
+"""Plays a Plaza recording onto real topics: a Range topic per beacon, odometry, truth, clock."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistStamped
 from pif_ros.plaza.progress import Progress
 from pif_ros.plaza.recording import load, Recording
 from pif_ros.plaza.schedule import Step, steps
@@ -31,9 +31,11 @@ _PATIENCE = 2.0
 
 class Player(Node):
     """
-    Publishes a recording: `beacon_<id>/range`, `truth` and `/clock`.
+    Publishes a recording: `beacon_<id>/range`, `control`, `truth` and `/clock`.
 
-    The stamps are the recording's own, and late ranges arrive as late as they did.
+    The stamps are the recording's own, and late ranges arrive as late as they did.  A TwistStamped
+    on `control` bears the start of the interval for which it holds.  Odometry knows an interval at
+    its end only: it arrives then, one interval after its stamp.
     """
 
     def __init__(self, recording: Recording | None = None, settings: Settings | None = None,
@@ -50,6 +52,7 @@ class Player(Node):
         self.sent = 0
         self._ticks = self.create_publisher(Clock, '/clock', 10)
         self._truth = self.create_publisher(PoseStamped, 'truth', _BURST)
+        self._control = self.create_publisher(TwistStamped, 'control', _BURST)
         self._beacons = {
             b: self.create_publisher(Range, f'beacon_{b}/range', _BURST)
             for b in self.recording.beacons}
@@ -66,19 +69,20 @@ class Player(Node):
 
         TimeoutError in one line where nobody listens, or where the follower falls silent.
         """
-        schedule = list(steps(self.recording, self.settings.span, self._quiet()))
+        schedule = list(steps(self.recording, self.settings.span, self._quiet(),
+                              self.settings.odometry))
         self._meet(spin, stopped)
         self._lead_in(schedule[0], spin, stopped)
         progress = Progress(schedule[0].stamp_ns, schedule[-1].stamp_ns)
         begin = time.monotonic()
-        for before, step in zip([schedule[0], *schedule], schedule):
+        for step in schedule:
             self._await_its_time(begin, step.stamp_ns - schedule[0].stamp_ns, spin, stopped)
             if stopped():
                 break
             self._send(step)
             if step.ranges:
                 self._await_pose(step, spin, stopped)
-            elif step.stamp_ns - before.stamp_ns >= self._quiet() * 1e9:
+            elif step.quiet:
                 self._await_forecast(step, spin, stopped)
             progress.show(step.stamp_ns)
         progress.close()
@@ -147,6 +151,8 @@ class Player(Node):
         self._ticks.publish(Clock(clock=_time(step.stamp_ns - short)))
         for i in step.truths:
             self._truth.publish(self._pose(i))
+        for i in step.odometry:
+            self._control.publish(self._twist(i))
         for i in step.ranges:
             publisher: Publisher = self._beacons[int(self.recording.beacon_ids[i])]
             publisher.publish(self._range(i))
@@ -187,6 +193,13 @@ class Player(Node):
         msg.min_range = 0.0
         msg.max_range = float(self._longest)
         msg.range = float(self.recording.ranges[i])
+        return msg
+
+    def _twist(self, i: int) -> TwistStamped:
+        msg = TwistStamped()
+        msg.header.stamp = _time(int(self.recording.odometry_stamps_ns[i]))
+        msg.header.frame_id = 'base_link'
+        msg.twist.linear.x, msg.twist.angular.z = (float(v) for v in self.recording.odometry[i])
         return msg
 
     def _pose(self, i: int) -> PoseStamped:

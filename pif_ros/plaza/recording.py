@@ -1,9 +1,9 @@
-"""The Plaza recordings: ranges to four radio beacons, and where the mower really was."""
+"""The Plaza recordings: ranges to four radio beacons, odometry, and where the mower really was."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import distribution, PackageNotFoundError
 from pathlib import Path
 from types import MappingProxyType
@@ -12,8 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.io import loadmat
 
+Array = NDArray[np.float64]
+
 NAMES = ('Plaza1', 'Plaza2')
-_COLUMNS = {'GT': 4, 'TD': 4, 'TL': 3}
+_COLUMNS = {'GT': 4, 'TD': 4, 'TL': 3, 'DR': 3}
+_OPTIONAL = ('DR',)
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +26,9 @@ class Recording:
 
     truth_stamps_ns: (t,) increasing; truth: (t, 3), x and y in metres, heading in radians;
     range_stamps_ns: (k,) when each range was taken; beacon_ids: (k,); ranges: (k,) in metres, as
-    read by the radios; beacons: where each beacon stands, in metres.
+    read by the radios; beacons: where each beacon stands, in metres; odometry: (j, 2), speed in
+    m/s and rate of turn in rad/s from odometry_stamps_ns (j,) to odometry_ends_ns (j,), where the
+    next interval starts; j is 0 where none was recorded.
     """
 
     name: str
@@ -33,6 +38,9 @@ class Recording:
     beacon_ids: NDArray[np.int64]
     ranges: NDArray[np.float64]
     beacons: Mapping[int, tuple[float, float]]
+    odometry_stamps_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    odometry_ends_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    odometry: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
         """Refuse truth out of order, and ranges to beacons that stand nowhere."""
@@ -40,6 +48,8 @@ class Recording:
             raise ValueError(f'{self.name}: expected at least one pose and one range')
         if np.any(np.diff(self.truth_stamps_ns) <= 0):
             raise ValueError(f'{self.name}: expected increasing stamps of the truth')
+        if np.any(self.odometry_ends_ns <= self.odometry_stamps_ns):
+            raise ValueError(f'{self.name}: expected increasing stamps of the odometry')
         unknown = set(self.beacon_ids.tolist()) - set(self.beacons)
         if unknown:
             raise ValueError(f'{self.name}: no position of beacon {min(unknown)}')
@@ -89,8 +99,9 @@ def load(name: str = 'Plaza1', path: str | Path | None = None) -> Recording:
         content = loadmat(str(file), variable_names=list(_COLUMNS))
     except Exception as e:  # loadmat raises half a dozen types, struct.error among them
         raise ValueError(f'{file} is no MATLAB file: {e}') from None
-    tables = {key: _table(file, content, key) for key in _COLUMNS}
-    return _assemble(name, tables['GT'], tables['TD'], tables['TL'])
+    tables = {key: _table(file, content, key) for key in _COLUMNS
+              if key in content or key not in _OPTIONAL}
+    return _assemble(name, **tables)
 
 
 def _shipped(name: str) -> Path:
@@ -118,16 +129,30 @@ def _table(file: Path, content: Mapping[str, object], key: str) -> NDArray[np.fl
     return np.asarray(table, dtype=float)
 
 
-def _assemble(name: str, GT: NDArray[np.float64], TD: NDArray[np.float64],
-              TL: NDArray[np.float64]) -> Recording:
-    """Name the columns of GT (time, x, y, heading), TD (time, antenna, beacon, range), TL."""
+def _assemble(name: str, GT: Array, TD: Array, TL: Array,
+              DR: Array = np.zeros((0, 3))) -> Recording:
+    """
+    Name the columns of GT (time, x, y, heading), TD (time, antenna, beacon, range), TL and DR.
+
+    A row of DR (time, distance, change of heading) tells of the time since the row before; of the
+    first row's interval the start is not known.
+    """
+    ends = _nanoseconds(DR[:, 0])
     return Recording(
         name=name,
         truth_stamps_ns=_nanoseconds(GT[:, 0]), truth=GT[:, 1:],
         range_stamps_ns=_nanoseconds(TD[:, 0]),
         beacon_ids=TD[:, 2].astype(np.int64), ranges=TD[:, 3],
         beacons=MappingProxyType(
-            {int(b): (float(x), float(y)) for b, x, y in sorted(TL.tolist())}))
+            {int(b): (float(x), float(y)) for b, x, y in sorted(TL.tolist())}),
+        odometry_stamps_ns=ends[:-1], odometry_ends_ns=ends[1:],
+        odometry=_rates(DR[1:, 1:], np.diff(ends)))
+
+
+def _rates(moved: Array, nanoseconds: NDArray[np.int64]) -> Array:
+    """Return what moved in some times as rates per second; no number where there was no time."""
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return moved / (nanoseconds * 1e-9)[:, None]
 
 
 def _nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.int64]:

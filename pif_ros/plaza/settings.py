@@ -19,7 +19,8 @@ class Settings:
     recording: Plaza1 or Plaza2; path: its file, '' for the one that comes with gtsam; speed: 1 is
     real time, 0 as fast as the follower keeps up; follow: the topic of the follower's poses, used
     at speed 0; start, duration: the part that is played, in seconds, a duration of 0 meaning to
-    the end; timeout: how long to wait for subscribers, and for a pose at speed 0, in seconds.
+    the end; timeout: how long to wait for subscribers, and for a pose at speed 0, in seconds;
+    odometry: whether it is played too.
     """
 
     recording: str = 'Plaza1'
@@ -29,6 +30,7 @@ class Settings:
     start: float = 0.0
     duration: float = 0.0
     timeout: float = 30.0
+    odometry: bool = True
 
     @property
     def span(self) -> Span:
@@ -47,15 +49,17 @@ class Settings:
         return cls(**checked)
 
 
-def _checked(name: str, kind: type, value: object) -> str | float:
+def _checked(name: str, kind: type, value: object) -> str | float | bool:
     """Return a value as its kind; ValueError says what was wanted and what was given."""
     if kind is str:
         wanted, good = _text(name, value)
+    elif kind is bool:
+        wanted, good = 'true or false', isinstance(value, bool)
     else:
         wanted, good = _number(name, value)
     if not good:
         raise ValueError(f"parameter '{name}': expected {wanted}, got {value!r}")
-    return str(value) if kind is str else float(value)  # type: ignore[arg-type]
+    return float(value) if kind is float else kind(value)  # type: ignore[arg-type]
 
 
 def _text(name: str, value: object) -> tuple[str, bool]:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.continuous import PathBelief
 from pif_ros.core.continuous.kalman_bucy import with_path
 from pif_ros.core.continuous.path import correct_by_path, path_log_peak
+from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.rivals import ParticleBelief, ParticleFilter
@@ -47,7 +48,7 @@ class PathParticleFilter:
         return PathBelief.before_the_path(self._state.gaussian(mean, covariance))
 
     def predict(self, belief: PathBelief[ParticleBelief], from_ns: int,
-                to_ns: int) -> PathBelief[ParticleBelief]:
+                to_ns: int, controls: Controls = NO_CONTROLS) -> PathBelief[ParticleBelief]:
         """Return what is believed of a later stamp while the path is not known any further."""
         return belief.forecast(self._state.predict(belief.now, from_ns, to_ns))
 

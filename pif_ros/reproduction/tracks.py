@@ -63,7 +63,7 @@ def follow(filter_: Filter[Any], prior: Any, record: Record, moments: Moments,
     means, variances = np.full((K, n), np.nan), np.full((K, n), np.nan)
     masses, seconds = np.full(K, np.nan), np.full(K, np.nan)
     read: dict[str, list[Any]] = {name: [] for name in readings}
-    tracker, fault, total = Tracker(filter_, prior, history=0.0, depth=1), '', 0.0
+    tracker, fault, total = Tracker(filter_, prior, history=0.0, memory=0), '', 0.0
     tracker.reset(prior, 0)
     if record.origin is not None:
         tracker.observe(Measurement(0, record.sensor, tuple(record.origin.tolist())))

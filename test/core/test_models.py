@@ -1,6 +1,7 @@
 """How the world moves, and how it is seen."""
 
-from hypothesis import given, strategies as st
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
@@ -120,3 +121,49 @@ def test_no_measurement_is_likelier_than_the_one_expected():
     # the peak of a Gaussian of two dimensions is 1 / (2 pi sqrt(det R))
     assert sensor.log_peak(3.0) == pytest.approx(
         -np.log(2 * np.pi * np.sqrt(np.linalg.det(3 * R))), rel=1e-12)
+
+
+# Models that are driven
+
+
+def driven_model(jacobian=None):
+    return StateModel(('a', 'b'), lambda x, u, t: np.stack([u[0] * x[1] + t, u[1] * x[0]**2]),
+                      np.eye(2), drift_jacobian=jacobian, inputs=('p', 'q'))
+
+
+def slopes(x, u, t):
+    zero = np.zeros_like(x[0])
+    return np.array([[zero, zero + u[0]], [2 * u[1] * x[0], zero]])
+
+
+@pytest.mark.parametrize('jacobian', [None, slopes])
+def test_a_model_under_a_control_is_a_plain_one_with_that_drift_and_its_slopes(jacobian):
+    plain = driven_model(jacobian).under((3.0, -2.0))
+    x = np.array([[1.0, 2.0], [4.0, 5.0]])
+    assert plain.inputs == ()
+    np.testing.assert_array_equal(plain.drift(x, 10.0), [[22, 25], [-2, -8]])
+    np.testing.assert_array_equal(plain.ito_drift(x, 10.0), plain.drift(x, 10.0))
+    # the central differences of a square and of what is linear are exact but for rounding
+    np.testing.assert_allclose(plain.ito_jacobian(x, 10.0),
+                               [[[0, 0], [3, 3]], [[-4, -8], [0, 0]]], atol=1e-8)
+
+
+def test_no_control_stands_for_zeros_and_a_model_without_inputs_for_itself():
+    x = np.array([[1.0], [4.0]])
+    np.testing.assert_array_equal(driven_model().under(()).drift(x, 5.0),
+                                  driven_model().under((0.0, 0.0)).drift(x, 5.0))
+    model = StateModel(('a',), still, np.eye(1))
+    assert model.under(()) is model and model.under((1.0,)) is model
+
+
+def test_a_model_is_made_once_for_each_control():
+    model = driven_model()
+    assert model.under((1.0, 2.0)) is model.under([1, 2])
+    assert model.under((1.0, 2.0)) is not model.under((2.0, 2.0))
+
+
+def test_refuses_a_control_of_another_length_and_states_that_it_has_not():
+    with pytest.raises(ValueError, match=r'^u: expected 2 components \(p, q\), got 1$'):
+        driven_model().under((1.0,))
+    with pytest.raises(ValueError, match='^homogeneous: expected numbers of states, 0 to 0, got'):
+        StateModel(('a',), still, np.eye(1), homogeneous=(1,))

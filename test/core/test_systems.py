@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 from pif_ros.core.systems import (bearing_sensor, position_2d, position_sensor, range_sensor,
-                                  SYSTEMS)
+                                  SYSTEMS, unicycle_2d)
 import pytest
 
 X = np.linspace(-3, 3, 13)
@@ -183,6 +183,7 @@ def differences(function, x):
 @pytest.mark.parametrize('shape', [(), (5,), (2, 3)])
 def test_models_keep_the_shape_of_states_and_say_their_own_slopes(name, shape):
     model = SYSTEMS[name]().model
+    model = model.under([0.7, -0.4][:len(model.inputs)])
     n = model.ndim
     x = states(n, shape)
     assert np.shape(model.drift(x, 0.0)) == (n,) + shape
@@ -204,7 +205,7 @@ def test_sensors_without_constants_keep_the_shape_of_states(name, shape):
     x = states(system.model.ndim, shape, positive=True)
     made = [sensor() for sensor in system.sensors.values() if not any(
         p.default is p.empty for p in inspect.signature(sensor).parameters.values())]
-    assert made or name == 'position_2d'
+    assert made or name in ('position_2d', 'unicycle_2d')
     for sensor in made:
         assert sensor.function(x, 0.0).shape == (sensor.size,) + shape
         assert np.all(np.isfinite(sensor.function(x, 0.0)))
@@ -241,11 +242,61 @@ def test_positions_read_both_coordinates():
     np.testing.assert_allclose(sensor.noise(0.0), 4 * np.eye(2), rtol=1e-12)
 
 
+def test_a_unicycle_drives_where_it_heads_and_turns_as_it_is_told():
+    model = unicycle_2d(sigma_position=0.2, sigma_heading=0.3).model
+    assert (model.names, model.inputs) == (('x', 'y', 'theta'), ('v', 'omega'))
+    headings = np.array([[5.0] * 3, [-2.0] * 3, [0.0, np.pi / 2, np.pi]])
+    np.testing.assert_allclose(model.under((2.0, 0.5)).drift(headings, 0.0),
+                               [[2, 0, -2], [0, 2, 0], [0.5] * 3], atol=1e-15)
+    np.testing.assert_allclose(model.diffusion(0.0), np.diag([0.04, 0.04, 0.09]), rtol=1e-15)
+    np.testing.assert_array_equal(model.under(()).drift(headings, 0.0), 0)
+
+
+def test_a_unicycle_moves_alike_wherever_it_stands():
+    model = unicycle_2d().model
+    here, there = np.array([[0.0], [0.0], [0.7]]), np.array([[9.0], [-4.0], [0.7]])
+    assert model.homogeneous == (0, 1)
+    plain = model.under((1.5, -0.2))
+    np.testing.assert_array_equal(plain.drift(here, 0.0), plain.drift(there, 0.0))
+
+
+def test_a_unicycle_has_the_sensors_of_the_plane_and_a_compass():
+    sensors = unicycle_2d().sensors
+    assert set(position_2d().sensors) | {'heading', 'relative_bearing'} == set(sensors)
+    compass = sensors['heading'](sigma=0.1, bias=0.2)
+    x = np.array([[1.0, 2.0], [3.0, 4.0], [3.1, -0.5]])
+    np.testing.assert_allclose(compass.function(x, 0.0), [[3.3, -0.3]], rtol=1e-15)
+    # 3.3 and -3.1 are 0.117 apart on the circle
+    assert compass.residual([-3.1], compass.function(x, 0.0))[0, 0] == pytest.approx(
+        2 * np.pi - 6.4)
+    assert sensors['range']([1.0, 0.0], 0.1).function(x, 0.0)[0, 0] == 3.0
+    # what lies ahead of a robot that looks along y is at 0, what lies along x at its right
+    looking = np.array([[1.0], [3.0], [np.pi / 2]])
+    ahead, right = (sensors['relative_bearing'](place, 0.1) for place in ([1.0, 9.0], [9.0, 3.0]))
+    assert ahead.function(looking, 0.0)[0, 0] == pytest.approx(0.0)
+    assert right.function(looking, 0.0)[0, 0] == pytest.approx(-np.pi / 2)
+
+
+def test_a_sensor_of_a_robot_depends_on_the_states_that_it_says_it_sees():
+    rng = np.random.default_rng(0)
+    x, other = rng.normal(0, 2, (2, 3, 20))
+    constants = {'position': {}, 'heading': {}}
+    for name, maker in unicycle_2d().sensors.items():
+        sensor = maker(**constants.get(name, {'landmark': [1.0, 2.0]}), sigma=0.1)
+        mixed = other.copy()
+        mixed[list(sensor.states)] = x[list(sensor.states)]
+        np.testing.assert_array_equal(sensor.function(mixed, 0.0), sensor.function(x, 0.0))
+        for i in sensor.states:
+            moved = x.copy()
+            moved[i] += 0.3
+            assert np.any(sensor.function(moved, 0.0) != sensor.function(x, 0.0))
+
+
 def test_the_names_are_those_promised_and_every_constant_has_a_default():
     promised = {'wiener', 'ornstein_uhlenbeck', 'benes', 'double_well', 'cosine_drift',
                 'sine_cubic_drift', 'coupled_trigonometric', 'cubic_bearing', 'multiplicative_4d',
                 'arctangent_sensor', 'cubic_sensor', 'geometric_brownian_motion', 'lorenz_63',
-                'position_2d'}
+                'position_2d', 'unicycle_2d'}
     assert promised <= SYSTEMS.keys()
     for name, system in SYSTEMS.items():
         assert system.__name__ == name and system.__doc__
@@ -269,6 +320,7 @@ def test_the_names_are_those_promised_and_every_constant_has_a_default():
     (lambda: SYSTEMS['multiplicative_4d']().sensors['inverse_trigonometric'](c='x'),
      'c: expected a finite number', 'x'),
     (lambda: position_2d(diffusion=-0.5), 'diffusion: expected a positive number', '-0.5'),
+    (lambda: SYSTEMS['unicycle_2d'](sigma_heading=0.0), 'sigma_heading: expected a pos', '0'),
     (lambda: position_sensor(0.0), 'sigma: expected a positive number', '0'),
     (lambda: range_sensor([1.0], 0.1), 'landmark: expected 2 finite numbers', '[1.0]'),
     (lambda: range_sensor([1.0, float('nan')], 0.1), 'landmark: expected 2 finite', 'nan'),

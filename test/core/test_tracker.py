@@ -1,6 +1,7 @@
 """Time: which measurement comes when."""
 
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import DiracFeynmanFilter
@@ -26,8 +27,9 @@ MEASUREMENTS = st.lists(
               st.tuples(st.floats(-3, 3))), min_size=1, max_size=12, unique=True)
 
 
-def tracker_of(history=10.0, **more):
-    return Tracker(FILTER, PRIOR, history, **more)
+def tracker_of(history=10.0, beliefs=1000, **more):
+    """Return a tracker with memory for so many beliefs."""
+    return Tracker(FILTER, PRIOR, history, beliefs * PRIOR.nbytes, **more)
 
 
 def verbs(measurements, filter_=FILTER, belief=PRIOR):
@@ -123,7 +125,7 @@ def test_a_forecast_takes_no_step_twice():
         time_step_ns = FILTER.time_step_ns
         steps = 0
 
-        def predict(self, belief, from_ns, to_ns):
+        def predict(self, belief, from_ns, to_ns, controls):
             self.steps += (to_ns - from_ns) // self.time_step_ns
             return FILTER.predict(belief, from_ns, to_ns)
 
@@ -182,9 +184,9 @@ def test_what_was_taken_once_is_refused_when_it_comes_again(measurements, which)
 
 
 @pytest.mark.parametrize('stamps', [(0, 10, 20, 30), (0, 10, 10, 10), (10, 10, 10, 10)])
-@pytest.mark.parametrize('depth', [1, 2, 3])
-def test_what_was_taken_once_is_refused_when_it_comes_again_beyond_the_depth(stamps, depth):
-    tracker = tracker_of(depth=depth)
+@pytest.mark.parametrize('beliefs', [0, 1, 2, 3])
+def test_what_was_taken_once_is_refused_when_it_comes_again_beyond_the_memory(stamps, beliefs):
+    tracker = tracker_of(beliefs=beliefs)
     measurements = [Measurement(stamp, 'place', (0.1 * k,)) for k, stamp in enumerate(stamps)]
     for measurement in measurements:
         tracker.observe(measurement)
@@ -195,11 +197,11 @@ def test_what_was_taken_once_is_refused_when_it_comes_again_beyond_the_depth(sta
     assert bits(tracker) == before
 
 
-def test_depth_bounds_what_is_kept_and_changes_no_bit_of_what_comes_in_order():
+def test_memory_bounds_what_is_kept_and_changes_no_bit_of_what_comes_in_order():
     rng = np.random.default_rng(4)
     measurements = [Measurement(k * 30_000_000, 'place', (y,))
                     for k, y in enumerate(rng.normal(size=60))]
-    tracker = tracker_of(history=100.0, depth=5)
+    tracker = tracker_of(history=100.0, beliefs=5)
     for measurement in measurements:
         tracker.observe(measurement)
         tracker.estimate()
@@ -268,7 +270,7 @@ def test_another_filter_behind_the_same_verbs_is_tracked_to_the_bit_as_well(
 
 @pytest.mark.parametrize('fields, name', [
     ({'history': -1.0}, 'history'), ({'history': float('nan')}, 'history'),
-    ({'history': float('inf')}, 'history'), ({'depth': -1}, 'depth')])
+    ({'history': float('inf')}, 'history'), ({'memory': -1}, 'memory')])
 def test_refuses_a_memory_that_is_none(fields, name):
     with pytest.raises(ValueError, match=f'^{name}: expected .*, got .*$'):
         Tracker(FILTER, PRIOR, **fields)
@@ -295,8 +297,8 @@ def test_a_measurement_at_which_a_sensor_raises_is_named_and_forgotten():
     assert_same_bits(tracker.estimate(), verbs(good, filter_)[0])
 
 
-def test_depth_bounds_what_is_kept_while_there_is_a_backlog_too():
-    tracker = tracker_of(history=100.0, depth=5)
+def test_memory_bounds_what_is_kept_while_there_is_a_backlog_too():
+    tracker = tracker_of(history=100.0, beliefs=5)
     measurements = [Measurement(k * 10_000_000, 'place', (0.1,)) for k in range(40)]
     for measurement in measurements:
         tracker.observe(measurement)
@@ -304,6 +306,6 @@ def test_depth_bounds_what_is_kept_while_there_is_a_backlog_too():
     assert tracker.backlog == 10
     assert_same_bits(found, verbs(measurements[:30])[0])
     assert [made.measurement for made in tracker.corrections] == measurements[:30]
-    # what is beyond the depth was let go of as soon as it was worked in
+    # what is beyond the memory was let go of as soon as it was worked in
     assert tracker.observe(Measurement(200_000_001, 'place', (0.0,))) is Rejection.TOO_LATE
     assert_same_bits(tracker.estimate(), verbs(measurements)[0])

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -25,10 +25,12 @@ class Follower(Node):
         self.ranges: list[tuple[int, str, float]] = []
         self.truths: list[tuple[int, float, float]] = []
         self.clocks: list[int] = []
+        self.controls: list[tuple[int, float, float, int]] = []
         self._respond, self._newest = respond, -1
         self.poses = self.create_publisher(PoseWithCovarianceStamped, '~/pose', 10)
         for beacon in (0, 1, 5, 6):
             self.create_subscription(Range, f'beacon_{beacon}/range', self._on_range, SENSORS)
+        self.create_subscription(TwistStamped, 'control', self._on_control, SENSORS)
         self.create_subscription(PoseStamped, 'truth', self._on_truth, DEEP)
         self.create_subscription(Clock, '/clock', self._on_clock, DEEP)
 
@@ -39,6 +41,10 @@ class Follower(Node):
             pose = PoseWithCovarianceStamped()
             pose.header.stamp.sec, pose.header.stamp.nanosec = divmod(self._newest, 10**9)
             self.poses.publish(pose)
+
+    def _on_control(self, msg: TwistStamped) -> None:
+        self.controls.append((nanoseconds(msg.header.stamp), msg.twist.linear.x,
+                              msg.twist.angular.z, len(self.ranges)))
 
     def _on_truth(self, msg: PoseStamped) -> None:
         p = msg.pose.position

@@ -20,7 +20,7 @@ def where(t: np.ndarray) -> np.ndarray:
 
 
 def tables() -> dict[str, np.ndarray]:
-    """Return GT, TD and TL; of the ranges in LATE every other one comes after the rest of them."""
+    """Return all tables; of the ranges in LATE every other one comes after the rest of them."""
     t = np.concatenate([np.arange(100.5, SILENCE[0], 0.25), np.arange(SILENCE[1], 219.0, 0.25)])
     late = (t >= LATE[0]) & (t < LATE[1]) & (np.arange(len(t)) % 8 >= 4)
     t = np.concatenate([t[~late & (t < LATE[1])], t[late], t[t >= LATE[1]]])
@@ -28,7 +28,9 @@ def tables() -> dict[str, np.ndarray]:
     distance = np.linalg.norm(where(t)[:, :2] - beacons[:, 1:], axis=1)
     noise = np.random.default_rng(7).normal(0.0, SIGMA, len(t))
     truth = np.arange(START, 220.0, 0.2)
+    turns = 2.0 * np.pi / 120.0 * np.diff(truth)
     return {'GT': np.column_stack([truth, where(truth)]), 'TL': BEACONS,
+            'DR': np.column_stack([truth[1:], 12.0 * turns, turns]),
             'TD': np.column_stack([t, np.full(len(t), 2.0), beacons[:, 0],
                                    SCALE * distance + noise])}
 

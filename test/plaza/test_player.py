@@ -86,6 +86,31 @@ def test_the_truth_is_played_beside_the_ranges(
     assert_allclose([(x, y) for _, x, y in follower.truths], small.truth_at(stamps)[:, :2])
 
 
+def test_odometry_comes_at_the_end_of_the_interval_whose_start_it_bears(
+        spinner: Spinner, small: Recording) -> None:
+    follower = Follower()
+    player = Player(small, Settings(**{**FAST, 'start': 20.0, 'duration': 10.0}))
+    spin = spinner(player, follower)
+    player.play(spin)
+    first, last = (small.start_ns + k * 10**9 for k in (20, 30))
+    ends = small.odometry_ends_ns
+    expected = np.flatnonzero((ends >= first) & (ends <= last))
+    until(spin, lambda: len(follower.controls) >= len(expected))
+    stamps, v, omega, heard = zip(*follower.controls)
+    assert list(stamps) == small.odometry_stamps_ns[expected].tolist()
+    assert_allclose(np.transpose([v, omega]), small.odometry[expected])
+    # each range was answered before anything later was sent
+    arrivals = small.arrivals_ns[small.arrivals_ns >= first]
+    assert np.all(np.array(heard) >= np.searchsorted(arrivals, ends[expected]))
+    assert heard[-1] > 30
+
+
+def test_odometry_may_be_left_out(spinner: Spinner, small: Recording) -> None:
+    follower = Follower()
+    play(spinner, small, follower, duration=5.0, odometry=False)
+    assert not follower.controls and follower.ranges
+
+
 def test_ten_seconds_at_tenfold_speed_take_one_second(
         spinner: Spinner, small: Recording) -> None:
     follower = Follower(respond=0)
@@ -145,7 +170,8 @@ def test_a_signal_ends_it_with_status_0_and_not_a_word(
 @pytest.mark.parametrize(('argument', 'line'), [
     ('speed:=-1.0', "plaza_player: parameter 'speed': expected a number of at least 0, got -1.0"),
     ('sped:=1.0', "plaza_player: parameter 'sped': expected one of recording, path, speed, "
-     'follow, start, duration, timeout'),
+     'follow, start, duration, timeout, odometry'),
+    ('odometry:=1', "plaza_player: parameter 'odometry': expected true or false, got 1"),
     ('path:=/absent.mat', 'plaza_player: no such recording: /absent.mat')])
 def test_what_cannot_be_played_is_one_line_and_status_2(argument: str, line: str) -> None:
     process = player_process(argument)

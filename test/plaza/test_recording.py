@@ -21,6 +21,38 @@ def test_reads_every_column_of_the_file(small: Recording) -> None:
     assert small.beacons == {int(b): (x, y) for b, x, y in synthetic.BEACONS}
 
 
+def test_odometry_is_what_was_driven_per_second_from_one_row_to_the_next(
+        small: Recording) -> None:
+    """Oracle: the circle, 12 m in radius, driven once in two minutes."""
+    stamps = synthetic.tables()['DR'][:, 0]
+    assert_allclose(small.odometry_stamps_ns * 1e-9, stamps[:-1], atol=1e-9)
+    assert_allclose(small.odometry_ends_ns * 1e-9, stamps[1:], atol=1e-9)
+    assert_allclose(small.odometry[:, 0], 2.0 * np.pi / 120.0 * 12.0, rtol=1e-6)
+    assert_allclose(small.odometry[:, 1], 2.0 * np.pi / 120.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize('name', ['Plaza1', 'Plaza2'])
+def test_odometry_tells_how_far_the_truth_went_and_turned_in_its_very_interval(name: str) -> None:
+    """Oracle: the truth, which has its heading from the same gyroscope, but for a bias."""
+    try:
+        plaza = load(name)
+    except FileNotFoundError:
+        pytest.skip('needs the data that come with gtsam')
+    seconds = (plaza.odometry_ends_ns - plaza.odometry_stamps_ns) * 1e-9
+    begins, ends = (plaza.truth_at(s) for s in (plaza.odometry_stamps_ns, plaza.odometry_ends_ns))
+    turned = ends[:, 2] - begins[:, 2]
+    driven = np.linalg.norm(ends[:, :2] - begins[:, :2], axis=1)
+    # one interval earlier or later the correlation is below 0.98 of both
+    assert np.corrcoef(turned, plaza.odometry[:, 1] * seconds)[0, 1] > 0.9999
+    assert np.corrcoef(driven, plaza.odometry[:, 0] * seconds)[0, 1] > 0.998
+    assert 0 <= plaza.odometry[:, 0].min() and plaza.odometry[:, 0].max() < 5.0
+
+
+def test_a_recording_may_be_without_odometry(tmp_path: Path) -> None:
+    found = load(path=synthetic.write(tmp_path / 'without.mat', DR=None))
+    assert found.odometry.shape == (0, 2) and len(found.odometry_stamps_ns) == 0
+
+
 def test_truth_is_linear_between_the_poses_and_its_heading_never_jumps(small: Recording) -> None:
     """Oracle: the circle itself; a chord of a fifth of a second is off it by less than 1 mm."""
     t = np.arange(100.05, 219.0, 0.0371)
@@ -97,6 +129,8 @@ def test_refuses_a_recording_of_another_name() -> None:
     ({'TD': np.full((3, 4), np.nan)}, 'finite numbers in TD'),
     ({'TD': np.zeros((0, 4))}, 'at least one pose and one range'),
     ({'TD': np.array([[101.0, 2.0, 9.0, 10.0]])}, 'no position of beacon 9'),
+    ({'DR': np.zeros((3, 4))}, 'expected DR of 3 columns'),
+    ({'DR': np.array([[1.0, 0, 0], [1.0, 0, 0]])}, 'increasing stamps of the odometry'),
     ({'GT': np.array([[1.0, 0, 0, 0], [0.5, 0, 0, 0]])}, 'increasing stamps of the truth'),
 ])
 def test_refuses_a_wrong_file_in_one_line(tmp_path: Path, changed: dict, reason: str) -> None:

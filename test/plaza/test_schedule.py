@@ -55,3 +55,29 @@ def test_refuses_a_span_without_a_range(small: Recording) -> None:
         list(steps(small, Span(start=45.0, duration=10.0)))
     with pytest.raises(ValueError, match='between 500 s and the end'):
         list(steps(small, Span(start=500.0)))
+
+
+def test_odometry_is_sent_once_when_its_interval_ends_and_only_where_it_is_wanted(
+        plaza: Recording) -> None:
+    sent = list(steps(plaza, odometry=True))
+    assert [i for step in sent for i in step.odometry] == list(range(len(plaza.odometry)))
+    for step in sent:
+        assert_array_equal(plaza.odometry_ends_ns[list(step.odometry)], step.stamp_ns)
+    assert not any(step.odometry for step in steps(plaza))
+
+
+def test_odometry_leaves_all_else_as_it_is(plaza: Recording) -> None:
+    def others(odometry: bool) -> list[tuple[int, range, bool]]:
+        return [(step.stamp_ns, step.ranges, step.quiet)
+                for step in steps(plaza, odometry=odometry) if step.ranges or step.quiet]
+
+    sent = [step.stamp_ns for step in steps(plaza, odometry=True)]
+    assert others(True) == others(False)
+    assert np.diff(sent).min() > 0
+
+
+def test_a_step_is_quiet_where_no_range_came_for_so_long(plaza: Recording) -> None:
+    arrivals = np.concatenate([[plaza.start_ns - 10**9], plaza.arrivals_ns])
+    for step in steps(plaza, odometry=True):
+        silence = step.stamp_ns - arrivals[np.searchsorted(arrivals, step.stamp_ns, 'right') - 1]
+        assert not step.quiet or silence > 0 and silence % 10**9 == 0

@@ -25,6 +25,7 @@ def test_whole_numbers_are_welcome_where_reals_are_meant() -> None:
     ('recording', ['Plaza1'], r"expected Plaza1 or Plaza2, got \['Plaza1'\]"),
     ('path', 7, 'expected a string, got 7'),
     ('follow', '', "expected the name of a topic, got ''"),
+    ('odometry', 1, 'expected true or false, got 1'),
     ('sped', 1.0, 'expected one of recording, path, speed'),
 ])
 def test_a_wrong_parameter_is_named_with_what_was_wanted_and_given(

@@ -60,7 +60,7 @@ class Breaking:
     sensors = SENSORS
     model = SYSTEM.model
 
-    def predict(self, belief, from_ns, to_ns):
+    def predict(self, belief, from_ns, to_ns, controls):
         return belief
 
     def correct(self, belief, y, sensor, at_ns):

@@ -13,6 +13,7 @@ from pif_ros.core.continuous.increments import Increments
 from pif_ros.core.continuous.path import correct_by_path, path_log_peak, PathBelief
 from pif_ros.core.continuous.splitting import Splitting, Symmetric
 from pif_ros.core.continuous.yau import YauSteps
+from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
@@ -66,7 +67,7 @@ class DiracFeynmanYauFilter:
         return PathBelief.before_the_path(GridBelief.uniform(self.grid))
 
     def predict(self, belief: PathBelief[GridBelief], from_ns: int,
-                to_ns: int) -> PathBelief[GridBelief]:
+                to_ns: int, controls: Controls = NO_CONTROLS) -> PathBelief[GridBelief]:
         """
         Return what is believed of a later stamp as long as the path is not known further.
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.continuous.increments import Increments
 from pif_ros.core.continuous.path import correct_by_path, path_log_peak, PathBelief
+from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.rivals import ExtendedKalmanFilter, GaussianBelief
@@ -51,9 +53,9 @@ class ExtendedKalmanBucyFilter:
         return PathBelief.before_the_path(self._state.uniform())
 
     def predict(self, belief: PathBelief[GaussianBelief], from_ns: int,
-                to_ns: int) -> PathBelief[GaussianBelief]:
+                to_ns: int, controls: Controls = NO_CONTROLS) -> PathBelief[GaussianBelief]:
         """Return what is believed of a later stamp; ValueError for an earlier one."""
-        return belief.forecast(self._state.predict(belief.now, from_ns, to_ns))
+        return belief.forecast(self._state.predict(belief.now, from_ns, to_ns, controls), controls)
 
     def correct(self, belief: PathBelief[GaussianBelief], y: ArrayLike, sensor: str,
                 at_ns: int) -> tuple[PathBelief[GaussianBelief], float]:
@@ -62,7 +64,8 @@ class ExtendedKalmanBucyFilter:
 
         As with DiracFeynmanYauFilter, from the last point of the path on.
         """
-        return correct_by_path(belief, y, self.sensors[sensor], at_ns, self._advanced)
+        return correct_by_path(belief, y, self.sensors[sensor], at_ns,
+                               partial(self._advanced, belief.controls))
 
     def log_peak(self, belief: PathBelief[GaussianBelief], sensor: str, at_ns: int) -> float:
         """Return the log evidence of an increment just as the belief is sure it is."""
@@ -76,12 +79,12 @@ class ExtendedKalmanBucyFilter:
         """Return nothing: it has no grid that could be too coarse."""
         return []
 
-    def _advanced(self, anchor: GaussianBelief, dy: Array, from_ns: int,
+    def _advanced(self, controls: Controls, anchor: GaussianBelief, dy: Array, from_ns: int,
                   to_ns: int) -> tuple[GaussianBelief, GaussianBelief, float]:
         n, m, both = self.model.ndim, len(dy), self._with_path(to_ns - from_ns)
         belief = GaussianBelief(np.append(anchor.location, np.zeros(m)),
                                 np.pad(anchor.spread, (0, m)))
-        belief = both.predict(belief, from_ns, to_ns)
+        belief = both.predict(belief, from_ns, to_ns, controls)
         belief, log_evidence = both.correct(belief, dy, 'path', to_ns)
         now = GaussianBelief(wrapped(belief.location[:n], self.box), belief.spread[:n, :n],
                              self.box)
@@ -104,12 +107,14 @@ def with_path(model: StateModel, sensor: Sensor) -> StateModel:
     """Return the model of the states, and below them of the path without noise, dy = h dt."""
     n, m, e, Q = model.ndim, sensor.size, model.vielbein, model.noise_covariance
 
-    def drift(x: Array, t: float) -> Array:
-        return np.concatenate([model.drift(x[:n], t), sensor.function(x[:n], t)])
+    # of (x, t), or of (x, u, t) where the model has inputs
+    def drift(x: Array, *at: Any) -> Array:
+        return np.concatenate([model.drift(x[:n], *at), sensor.function(x[:n], at[-1])])
 
-    def jacobian(x: Array, t: float) -> Array:
-        D = np.zeros((n + m,) * 2 + x.shape[1:])
-        D[:n, :n], D[n:, :n] = model.jacobian(x[:n], t), sensor.jacobian(x[:n], t)
+    def jacobian(x: Array, *at: Any) -> Array:
+        D, t = np.zeros((n + m,) * 2 + x.shape[1:]), at[-1]
+        plain = model.under(at[0]) if model.inputs else model
+        D[:n, :n], D[n:, :n] = plain.jacobian(x[:n], t), sensor.jacobian(x[:n], t)
         return D
 
     def vielbein(x: Array, t: float) -> Array:
@@ -124,4 +129,5 @@ def with_path(model: StateModel, sensor: Sensor) -> StateModel:
         e = additive if callable(e) else additive(0.0)
     names = model.names + tuple(f'path {k}' for k in range(m))
     return StateModel(names, drift, e, Q, jacobian, multiplicative=model.multiplicative, s=model.s,
-                      time_dependent=model.time_dependent or sensor.time_dependent)
+                      time_dependent=model.time_dependent or sensor.time_dependent,
+                      inputs=model.inputs)

@@ -9,6 +9,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.continuous.increments import Increments
+from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor
 
@@ -17,6 +18,10 @@ Array = NDArray[np.float64]
 
 class Believed(Protocol):
     """What a belief lets be read off it."""
+
+    @property
+    def nbytes(self) -> int:
+        """Return the memory that it takes, in bytes."""
 
     @property
     def mass(self) -> float:
@@ -48,22 +53,29 @@ class PathBelief(Generic[Inner]):
 
     now: what is believed, a forecast where time has gone on since the last point; anchor: what
     the increment to the next point starts from; y, stamp_ns: the last point's values (m,) and
-    stamp, None before the first, when the path says nothing yet.
+    stamp, None before the first, when the path says nothing yet; controls: what the forecast was
+    driven by, and the steps since the last point are when they are taken anew.
     """
 
     now: Inner
     anchor: Inner
     y: Array | None = None
     stamp_ns: int | None = None
+    controls: Controls = NO_CONTROLS
+
+    @property
+    def nbytes(self) -> int:
+        """Return the memory that it takes, in bytes."""
+        return 2 * self.now.nbytes
 
     @classmethod
     def before_the_path(cls, prior: Inner) -> PathBelief[Inner]:
         """Return a belief that waits for the first point of the path."""
         return cls(prior, prior)
 
-    def forecast(self, now: Inner) -> PathBelief[Inner]:
+    def forecast(self, now: Inner, controls: Controls = NO_CONTROLS) -> PathBelief[Inner]:
         """Return the same belief at a later time; the next increment starts where it did."""
-        return PathBelief(now, self.anchor, self.y, self.stamp_ns)
+        return PathBelief(now, self.anchor, self.y, self.stamp_ns, controls)
 
     @property
     def mass(self) -> float:

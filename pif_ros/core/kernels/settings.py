@@ -17,8 +17,11 @@ class KernelSettings:
     needs; weights: 'sampled' takes the density at the cell centres, 'moments' keeps mass, mean and
     covariance however thin the noise is against a cell, 'auto' chooses by the noise; tolerance:
     the share of a Gaussian's tail that is left out; noise_inflation: alpha of the papers' way with
-    thin noise, which takes g = alpha dx on each axis for the model's own, 0 for none.  Raises
-    ValueError for what makes no kernel.
+    thin noise, which takes g = alpha dx on each axis for the model's own, 0 for none; form:
+    'tabulated' for a weight per pair of cells, 'split' for an operator per axis, which has no use
+    for the settings from r to noise_inflation but the tolerance, 'auto' for whichever suits model,
+    grid and these settings; macro_error: how far in L1 a step of twice the length may be from two
+    steps, to be taken for them, 0 for none.  Raises ValueError for what makes no kernel.
     """
 
     time_step: float
@@ -28,6 +31,8 @@ class KernelSettings:
     weights: str = 'auto'
     tolerance: float = 1e-5
     noise_inflation: float = 0.0
+    form: str = 'tabulated'
+    macro_error: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what makes no kernel."""
@@ -42,6 +47,9 @@ class KernelSettings:
                  self.weights in ('auto', 'sampled', 'moments')),
                 ('tolerance', 'a number from 1e-12 to 0.1', 1e-12 <= self.tolerance <= 0.1),
                 ('noise_inflation', 'a number, 0 or more',
-                 0 <= self.noise_inflation < math.inf)):
+                 0 <= self.noise_inflation < math.inf),
+                ('form', "'auto', 'tabulated' or 'split'",
+                 self.form in ('auto', 'tabulated', 'split')),
+                ('macro_error', 'a number from 0 to below 1', 0 <= self.macro_error < 1)):
             if not holds:
                 raise ValueError(f'{name}: expected {wanted}, got {getattr(self, name)!r}')

@@ -32,6 +32,8 @@ HEADER = struct.Struct('<8sII64sQQI')
 CHECKSUM = struct.Struct('<I')
 #: A value counts to so many bits: the last digits of a sine are the processor's, not the model's.
 BITS = 26
+#: Settings that a tabulated kernel does not depend on.
+FREE = ('form', 'macro_error')
 #: A smaller value is the rounding of a nought.
 NOTHING = 1e-12
 
@@ -47,7 +49,7 @@ def fingerprint(model: StateModel, grid: Grid, settings: KernelSettings, t: floa
     digest = hashlib.sha256(repr((
         VERSION, grid.lower, grid.upper, grid.shape, grid.periodic, float(model.s),
         [(name, float(value) if isinstance(value, (int, float)) else value)
-         for name, value in sorted(asdict(settings).items())])).encode())
+         for name, value in sorted(asdict(settings).items()) if name not in FREE])).encode())
     tau = t + settings.r * settings.time_step
     for part in (0.0, -0.5, 0.5):
         with np.errstate(all='ignore'):

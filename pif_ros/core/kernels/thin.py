@@ -75,14 +75,19 @@ class MomentStencil:
                         np.ceil(radius * np.sqrt(widest)).astype(int) + 1)
 
 
+def three_point(position: Array, offset: Array, second: Array) -> Array:
+    """Return the weights of the nodes -1, 0, 1 at a position with a mean and a second moment."""
+    return np.where(position == 0, 1 - second,
+                    np.where(np.abs(position) == 1, (second + position * offset) / 2, 0.0))
+
+
 def _node_weights(nodes: Array, mean: Array, variance: Array) -> tuple[Array, Array]:
     """Return weights on nodes with a mean and, where it can be, a variance; and that variance."""
     nearest = np.rint(mean)
     offset, position = mean - nearest, nodes - nearest
     # second moment about the nearest node, at least that of the two nodes beside the mean
     second = np.maximum(variance + offset**2, np.abs(offset))
-    thin = np.where(position == 0, 1 - second,
-                    np.where(np.abs(position) == 1, (second + position * offset) / 2, 0.0))
+    thin = three_point(position, offset, second)
     is_thin = variance < THIN**2
     if np.all(is_thin):
         return thin, second - offset**2

@@ -33,6 +33,11 @@ class ParticleBelief:
     log_weights: Array
     box: Grid | None = None
 
+    @property
+    def nbytes(self) -> int:
+        """Return the memory that it takes, in bytes."""
+        return self.points.nbytes + self.log_weights.nbytes
+
     @cached_property
     def mass(self) -> float:
         """Return the sum of the weights."""

@@ -12,11 +12,12 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.belief import check_covariance, GridBelief
+from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor, StateModel
-from pif_ros.core.rivals.passage import (
-    check_box, circles, known, LARGEST, short_way, step_ns, time_steps, wrapped)
+from pif_ros.core.rivals.passage import (check_box, circles, driven_steps, known, LARGEST,
+                                         short_way, step_ns, wrapped)
 
 Array = NDArray[np.float64]
 
@@ -36,6 +37,11 @@ class GaussianBelief:
     location: Array
     spread: Array
     box: Grid | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """Return the memory that it takes, in bytes."""
+        return self.location.nbytes + self.spread.nbytes
 
     @property
     def mass(self) -> float:
@@ -118,11 +124,13 @@ class GaussianFilter(ABC):
         return GaussianBelief((low + high) / 2, np.diag((high - low)**2 / 12), box)
 
     @np.errstate(over='ignore', invalid='ignore', divide='ignore')
-    def predict(self, belief: GaussianBelief, from_ns: int, to_ns: int) -> GaussianBelief:
+    def predict(self, belief: GaussianBelief, from_ns: int, to_ns: int,
+                controls: Controls = NO_CONTROLS) -> GaussianBelief:
         """Return mean and covariance carried to a later stamp; ValueError for an earlier one."""
         m, P = belief.location, belief.spread
-        for start, length in time_steps(from_ns, to_ns, self.time_step_ns):
-            m, P = self._step(m, P, start / NANOSECONDS, length / NANOSECONDS)
+        for start, length, model in driven_steps(self.model, controls, from_ns, to_ns,
+                                                 self.time_step_ns):
+            m, P = self._step(model, m, P, start / NANOSECONDS, length / NANOSECONDS)
             m = wrapped(m, self.box)
             if not _sound(m, P):
                 return GaussianBelief(np.full_like(m, np.nan), np.full_like(P, np.nan), self.box)
@@ -165,8 +173,9 @@ class GaussianFilter(ABC):
         return self.model.diffusion(0.0)
 
     @abstractmethod
-    def _step(self, m: Array, P: Array, t: float, h: float) -> tuple[Array, Array]:
-        """Return mean and covariance h seconds later."""
+    def _step(self, model: StateModel, m: Array, P: Array, t: float,
+              h: float) -> tuple[Array, Array]:
+        """Return mean and covariance h seconds later; the model is that of the step."""
 
     @abstractmethod
     def _corrected(self, m: Array, P: Array, y: ArrayLike, sensor: Sensor,
@@ -188,7 +197,8 @@ class ExtendedKalmanFilter(GaussianFilter):
         """Return what the filter is."""
         return 'extended Kalman filter'
 
-    def _step(self, m: Array, P: Array, t: float, h: float) -> tuple[Array, Array]:
+    def _step(self, model: StateModel, m: Array, P: Array, t: float,
+              h: float) -> tuple[Array, Array]:
         """
         Return mean and covariance h seconds later, of fourth order in h.
 
@@ -196,7 +206,7 @@ class ExtendedKalmanFilter(GaussianFilter):
         and from a moment of it to its end: a Runge-Kutta step for m and A, Hermite's cubics for
         the middle, Simpson's rule for the integral.  It is positive definite for any h.
         """
-        f, F, one = self.model.ito_drift, self.model.ito_jacobian, np.eye(len(m))
+        f, F, one = model.ito_drift, model.ito_jacobian, np.eye(len(m))
 
         def slopes(x: Array, A: Array, t: float) -> tuple[Array, Array]:
             return f(x, t), F(x, t) @ A

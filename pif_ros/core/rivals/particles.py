@@ -10,11 +10,12 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.belief import check_covariance
+from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.rivals.cloud import ParticleBelief, systematic
-from pif_ros.core.rivals.passage import check_box, known, LARGEST, step_ns, time_steps, wrapped
+from pif_ros.core.rivals.passage import check_box, driven_steps, known, LARGEST, step_ns, wrapped
 
 Array = NDArray[np.float64]
 
@@ -83,20 +84,22 @@ class ParticleFilter:
         return self._cloud(low + (high - low) * u)
 
     @np.errstate(over='ignore', invalid='ignore', divide='ignore')
-    def predict(self, belief: ParticleBelief, from_ns: int, to_ns: int) -> ParticleBelief:
+    def predict(self, belief: ParticleBelief, from_ns: int, to_ns: int,
+                controls: Controls = NO_CONTROLS) -> ParticleBelief:
         """
         Return the particles moved to a later stamp; ValueError for an earlier one.
 
         A particle that blows up dies where it was last: its weight is 0 from then on.
         """
         x, log_w, weighed = belief.points, belief.log_weights, None
-        for start, length in time_steps(from_ns, to_ns, self.time_step_ns):
+        for start, length, model in driven_steps(self.model, controls, from_ns, to_ns,
+                                                 self.time_step_ns):
             if log_w is not weighed:
                 if log_w.max() == -np.inf:
                     break
                 x, log_w = self._resampled(x, log_w, start)
                 weighed = log_w
-            x, log_w = self._living(x, self._moved(x, start, length / NANOSECONDS), log_w)
+            x, log_w = self._living(x, self._moved(model, x, start, length / NANOSECONDS), log_w)
         return ParticleBelief(x, log_w, belief.box)
 
     @np.errstate(over='ignore', invalid='ignore', divide='ignore')
@@ -158,9 +161,9 @@ class ParticleFilter:
         picks = systematic(w, self._random(RESAMPLING, at_ns).random())
         return x.take(picks, axis=1), np.full(count, peak + math.log(total / count))
 
-    def _moved(self, x: Array, at_ns: int, h: float) -> Array:
+    def _moved(self, model: StateModel, x: Array, at_ns: int, h: float) -> Array:
         """Return x + f h + e dv, dv ~ N(0, Q h)  [Kloeden and Platen 1992, section 10.2]."""
-        model, t = self.model, at_ns / NANOSECONDS
+        t = at_ns / NANOSECONDS
         factor = self._factor_at(t)
         z = self._random(NOISE, at_ns).standard_normal((factor.shape[1], x.shape[1]))
         moved = (math.sqrt(h) * factor) @ z

@@ -7,8 +7,10 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from pif_ros.core.controls import Controls, driven
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.grid import Grid
+from pif_ros.core.models import StateModel
 
 Array = NDArray[np.float64]
 
@@ -33,6 +35,19 @@ def time_steps(from_ns: int, to_ns: int, step: int) -> Iterator[tuple[int, int]]
         raise ValueError(f'to_ns: expected a stamp from {from_ns} on, got {to_ns}')
     for start in range(from_ns, to_ns, step):
         yield start, min(step, to_ns - start)
+
+
+def driven_steps(model: StateModel, controls: Controls, from_ns: int, to_ns: int,
+                 step: int) -> Iterator[tuple[int, int, StateModel]]:
+    """
+    Yield the same with the plain model of each step, which is cut where the control changes.
+
+    Steps go on from where they would without the cut, so that whole ones may be taken in any
+    number of calls.
+    """
+    for start, length in time_steps(from_ns, to_ns, step):
+        for begin, end, plain in driven(model, controls, start, start + length):
+            yield begin, end - begin, plain
 
 
 def wrapped(x: Array, box: Grid | None) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pif_ros.core.models import Field, Sensor
+from pif_ros.core.models import Field, Sensor, StateModel
 from pif_ros.core.rivals.gaussian import gain_and_log_evidence, GaussianFilter, symmetric
 
 Array = NDArray[np.float64]
@@ -54,7 +54,8 @@ class UnscentedKalmanFilter(GaussianFilter):
         """Return what the filter is."""
         return f'unscented Kalman filter with {len(self._weights)} points'
 
-    def _step(self, m: Array, P: Array, t: float, h: float) -> tuple[Array, Array]:
+    def _step(self, model: StateModel, m: Array, P: Array, t: float,
+              h: float) -> tuple[Array, Array]:
         """
         Return mean and covariance h seconds later.
 
@@ -63,7 +64,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         depends on the state is that of the points, on average.
         """
         x = self._points(m, P + h / 2 * self._mean_diffusion(m, P, t))
-        x = runge_kutta(self.model.ito_drift, x, t, h)
+        x = runge_kutta(model.ito_drift, x, t, h)
         m = x @ self._mean_weights
         d = x - m[:, None]
         P = symmetric((d * self._weights) @ d.T)

@@ -1,0 +1,169 @@
+"""What waits to be worked in, and what became of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+import math
+import time
+from typing import Any
+
+from pif_ros.accounts import Accounts, SourceAccount
+from pif_ros.config import Config
+from pif_ros.core.filters import NANOSECONDS
+from pif_ros.core.tracker import CorrectionFailed, Estimate, Measurement, Tracker
+from pif_ros.sources import Control, Inlet
+
+#: The belief hardly allows a measurement whose likelihood, averaged over the belief, is less than
+#: that of ten standard deviations.
+OUTLIER = -0.5 * 10**2
+#: Replays that have not come to an end for so long, in seconds, take nothing late any more.
+OVERLOAD = 5.0
+#: So many corrections of a replay are made before signals, services and messages have their turn.
+SLICE = 32
+#: A replay of more corrections than this waits until a burst of late messages has ended ...
+LONG_REPLAY = 4
+#: ... but no longer than this, in seconds.
+PATIENCE = 0.2
+
+
+class Inbox:
+    """
+    A bounded queue of measurements and controls before a tracker; each is accounted for.
+
+    report: called with a kind and a line where something is worth a warning.
+    """
+
+    def __init__(self, tracker: Tracker[Any], accounts: Accounts, config: Config,
+                 report: Callable[[str, str], None]) -> None:
+        self.queue: deque[tuple[Inlet, Measurement | Control]] = deque()
+        self.behind_since: float | None = None
+        self._tracker, self._accounts, self._report = tracker, accounts, report
+        self._longest = config.measurements.queue_length
+        self._max_gap_ns = round(config.time.max_gap * NANOSECONDS)
+        self._unjudged: set[Measurement] = set()
+        self._burst_since: float | None = None
+        self._arrivals = self._arrivals_seen = 0
+        self._news = False
+
+    @property
+    def has_work(self) -> bool:
+        """Return whether something waits, here or in the tracker."""
+        return bool(self.queue or self._tracker.backlog)
+
+    def put(self, inlet: Inlet, item: Measurement | Control) -> None:
+        """Let a message wait; the oldest of a full queue is dropped."""
+        if len(self.queue) >= self._longest:
+            oldest, _ = self.queue.popleft()
+            oldest.account.dropped += 1
+            self._report('dropped',
+                         f'{oldest.name}: dropped the oldest {oldest.what} of a full queue')
+        self.queue.append((inlet, item))
+        self._arrivals += 1
+
+    def reject(self, inlet: Inlet, reason: str, sentence: str) -> None:
+        """Count a message that cannot be used, and tell why."""
+        inlet.account.rejected[reason] += 1
+        self._report(f'{inlet.name}: {reason}', f'{inlet.name}: rejected a {inlet.what}: '
+                     f'{sentence}')
+
+    def work(self) -> Estimate[Any] | None:
+        """
+        Work in what waits, and return what is then believed; None where there is nothing to tell.
+
+        That is so while there is more to do than one slice, and where only controls came: what
+        they change is seen in the next forecast.  Raises CorrectionFailed as the tracker does.
+        """
+        self.drain()
+        if self._tracker.backlog > LONG_REPLAY and self._burst_goes_on():
+            return None
+        self._burst_since = None
+        if not self._tracker.backlog:
+            return None
+        try:
+            estimate = self._tracker.estimate(at_most=SLICE)
+        except CorrectionFailed as failed:
+            account = self._account_of(failed.measurement)
+            account.accepted -= 1
+            account.rejected['fault'] += 1
+            self._unjudged.discard(failed.measurement)
+            raise
+        finally:
+            self._judge()
+        if self.has_work:
+            self.behind_since = self.behind_since or time.monotonic()
+            return None
+        self.behind_since = None
+        news, self._news = self._news, False
+        return estimate if news else None
+
+    def drain(self) -> None:
+        """Put what waits in the queue where it belongs, as far as the work can take it."""
+        while self.queue and self._tracker.backlog < self._longest:
+            inlet, item = self.queue.popleft()
+            if self._is_overload(item.stamp_ns):
+                self.reject(inlet, 'overload', 'late, and the replays of late ones have not come '
+                            f'to an end for {OVERLOAD:g} s')
+                continue
+            if isinstance(item, Measurement):
+                self._bridge(item)
+                rejection = self._tracker.observe(item)
+            else:
+                rejection = self._tracker.control(item.stamp_ns, item.values)
+            if rejection is not None:
+                behind = (self._tracker.stamp_ns or item.stamp_ns) - item.stamp_ns
+                self.reject(inlet, rejection.value, f'{rejection.value}, '
+                            f'{behind / NANOSECONDS:.3f} s behind the newest')
+                continue
+            inlet.account.accepted += 1
+            if isinstance(item, Measurement):
+                self._unjudged.add(item)
+                self._news = True
+
+    def restart(self, belief: Any, stamp_ns: int | None) -> None:
+        """Account for what waits, forget it, and start from a belief (None: the prior)."""
+        self.drain()
+        self._unjudged.clear()
+        self._tracker.reset(belief, stamp_ns)
+
+    def _is_overload(self, stamp_ns: int) -> bool:
+        """Return whether what is late would keep replays going that never end."""
+        newest_ns, since = self._tracker.stamp_ns, self.behind_since
+        return (since is not None and time.monotonic() - since > OVERLOAD
+                and newest_ns is not None and stamp_ns < newest_ns)
+
+    def _bridge(self, measurement: Measurement) -> None:
+        """Begin anew where a gap is so long that predicting through it would take for ever."""
+        newest_ns = self._tracker.stamp_ns
+        if newest_ns is not None and measurement.stamp_ns - newest_ns > self._max_gap_ns:
+            gap = (measurement.stamp_ns - newest_ns) / NANOSECONDS
+            self._report('gap', f'{measurement.source}: a gap of {gap:.0f} s, more than '
+                         'time.max_gap: back to the prior')
+            self._unjudged.clear()
+            self._tracker.reset()
+
+    def _judge(self) -> None:
+        """Count and tell which of the new measurements the belief hardly allows, or not at all."""
+        for made in self._tracker.corrections:
+            measurement, surprise = made.measurement, made.log_evidence - made.log_peak
+            if measurement not in self._unjudged:
+                continue
+            self._unjudged.remove(measurement)
+            if surprise < OUTLIER:
+                self._account_of(measurement).outliers += 1
+                self._report(f'{measurement.source}: outlier', f'{measurement.source}: ' + (
+                    'a measurement that no state of the belief allows: the belief stays as it was'
+                    if surprise == -math.inf else 'a measurement about '
+                    f'{math.sqrt(-2 * surprise):.0f} standard deviations from all that is believed'
+                ))
+        self._tracker.corrections.clear()
+
+    def _account_of(self, measurement: Measurement) -> SourceAccount:
+        return self._accounts.sources[measurement.source]
+
+    def _burst_goes_on(self) -> bool:
+        """Return whether messages still arrive; a replay is best made once, after them."""
+        now, since = time.monotonic(), self._burst_since
+        self._burst_since = now if since is None else since
+        arriving, self._arrivals_seen = self._arrivals != self._arrivals_seen, self._arrivals
+        return arriving and now - self._burst_since < PATIENCE
