@@ -35,10 +35,11 @@ setup(
         ],
         'plot': ['matplotlib', 'tqdm', 'joblib'],
         'wavelets': ['PyWavelets'],
+        'fast': ['numba'],
         'cluster': ['dask[distributed]'],
         # Jazzy's plugins crash pytest 9.
         'test': ['pytest>=7.4,<9', 'pytest-xdist', 'hypothesis', 'setuptools', 'PyWavelets',
-                 'filterpy', 'dask[distributed]'],
+                 'numba', 'filterpy', 'dask[distributed]'],
         # The plugins are those with which Jazzy runs ament_flake8; without them it checks less.
         'lint': [
             'ros-jazzy-ament-flake8',
@@ -54,7 +55,7 @@ setup(
             'mypy',
             'types-PyYAML',
         ],
-        'benchmark': ['stonesoup', 'particles', 'filterpy', 'PyWavelets', 'matplotlib'],
+        'benchmark': ['stonesoup', 'particles', 'filterpy', 'PyWavelets', 'matplotlib', 'numba'],
     },
     entry_points={
         # Systems of your own go into the group pif_ros.systems of your own package.

@@ -26,8 +26,9 @@ ROSDEP_KEYS = {
     'yaml': 'python3-yaml',
 }
 
-# Imported only where they are asked for, and of no rosdep key: pip brings them.
-OPTIONAL = {'dask', 'distributed', 'filterpy', 'pywt'}
+# Imported only where they are asked for or found; all but numba have no rosdep key: pip brings
+# them.
+OPTIONAL = {'dask', 'distributed', 'filterpy', 'numba', 'pywt'}
 
 
 @pytest.fixture(scope='module')

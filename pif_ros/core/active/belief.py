@@ -1,0 +1,146 @@
+"""What the filter believes, kept only where there is something to believe."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pif_ros.core.active.window import Window
+from pif_ros.core.belief import GridBelief
+from pif_ros.core.grid import Grid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A density on a window, shape window.shape, in 1 / (units of the state)."""
+
+    window: Window
+    density: Array
+
+    @cached_property
+    def mass(self) -> float:
+        """Return the probability in it."""
+        return float(self.density.sum() * self.window.spacing.prod())
+
+    def marginal(self, *axes: int) -> Array:
+        """Return the mass in every cell of some axes, in increasing order."""
+        others = tuple(i for i in range(self.density.ndim) if i not in axes)
+        mass: Array = self.density.sum(axis=others) * self.window.spacing.prod()
+        return mass
+
+
+@dataclass(frozen=True, eq=False)
+class ActiveBelief:
+    """
+    A density that is the sum of patches, which may overlap and differ in the size of their cells.
+
+    base: the box of the world, whose cells are the widest; dropped: the share of mass that was
+    left out as negligible since the last correction.  The mass is 1, less that and what has left
+    the box.  All statistics are those of the density scaled to mass 1; on a periodic axis the mean
+    is circular, and deviations are taken the short way round.
+    """
+
+    base: Grid
+    patches: tuple[Patch, ...]
+    dropped: float = 0.0
+
+    @cached_property
+    def mass(self) -> float:
+        """Return the probability in the box."""
+        return sum(patch.mass for patch in self.patches)
+
+    @property
+    def size(self) -> int:
+        """Return the number of cells that are kept."""
+        return sum(patch.window.size for patch in self.patches)
+
+    @property
+    def nbytes(self) -> int:
+        """Return the memory that the density takes, in bytes."""
+        return sum(patch.density.nbytes for patch in self.patches)
+
+    def normalised(self) -> ActiveBelief:
+        """Return the same belief with mass 1."""
+        return replace(self, patches=tuple(
+            Patch(patch.window, patch.density / self.mass) for patch in self.patches))
+
+    def mean(self) -> Array:
+        """Return the mean, shape (n,); circular on periodic axes."""
+        return np.array([self._mean_on(axis) for axis in range(self.base.ndim)])
+
+    def mode(self) -> Array:
+        """Return the centre of the densest cell of any patch, shape (n,)."""
+        densest = max(self.patches, key=lambda patch: patch.density.max())
+        where = np.unravel_index(np.argmax(densest.density), densest.density.shape)
+        x = np.array([axis[i] for axis, i in zip(densest.window.grid.axes, where)])
+        return _inside(self.base, x)
+
+    def covariance(self, about: ArrayLike | None = None) -> Array:
+        """Return the second moments about a point (the mean where none is given), (n, n)."""
+        point = self.mean() if about is None else np.asarray(about, dtype=float)
+        n = self.base.ndim
+        C = np.zeros((n, n))
+        for patch in self.patches:
+            d = [_deviations(self.base, patch.window, axis, point[axis]) for axis in range(n)]
+            for i in range(n):
+                C[i, i] += patch.marginal(i) @ d[i]**2
+                for j in range(i):
+                    C[i, j] += d[j] @ patch.marginal(j, i) @ d[i]
+        C += np.tril(C, -1).T
+        return C / self.mass
+
+    def on(self, grid: Grid, axes: Sequence[int]) -> GridBelief:
+        """Return the density of some of the axes on their cells of the base grid."""
+        cells = grid.select(axes)
+        kept = sorted(axes)
+        mass = np.zeros([grid.shape[i] for i in kept])
+        for patch in self.patches:
+            _add(mass, patch, kept)
+        density = np.transpose(mass, [kept.index(i) for i in axes]) / cells.cell_volume
+        return GridBelief(cells, density)
+
+    def _mean_on(self, axis: int) -> float:
+        base = self.base
+        coordinates = np.concatenate([p.window.grid.axes[axis] for p in self.patches])
+        w = np.concatenate([p.marginal(axis) for p in self.patches]) / self.mass
+        if not base.periodic[axis]:
+            return float(coordinates @ w)
+        low, period = base.lower[axis], base.upper[axis] - base.lower[axis]
+        turn = np.exp(2j * np.pi * (coordinates - low) / period) @ w
+        return low + float(np.angle(turn) / (2 * np.pi) % 1.0) * period
+
+
+def _deviations(base: Grid, window: Window, axis: int, point: float) -> Array:
+    """Return how far a window's cells are from a point along an axis, the short way round."""
+    d: Array = window.grid.axes[axis] - point
+    if base.periodic[axis]:
+        period = base.upper[axis] - base.lower[axis]
+        d = (d + period / 2) % period - period / 2
+    return d
+
+
+def _inside(base: Grid, x: Array) -> Array:
+    """Return a state with what is periodic between its edges."""
+    for i, round_ in enumerate(base.periodic):
+        if round_:
+            period = base.upper[i] - base.lower[i]
+            x[i] -= period * np.floor((x[i] - base.lower[i]) / period)
+    return x
+
+
+def _add(mass: Array, patch: Patch, axes: Sequence[int]) -> None:
+    """Add a patch's mass on some axes, in increasing order, to that of the base's cells."""
+    part, window = patch.marginal(*axes), patch.window
+    places = []
+    for k, axis in enumerate(axes):
+        cell = (window.offset[axis] + np.arange(window.shape[axis])) >> window.level[axis]
+        starts = np.flatnonzero(np.diff(cell, prepend=cell[0] - 1))
+        part = np.add.reduceat(part, starts, axis=k)
+        places.append(cell[starts] % patch.window.base.shape[axis])
+    # a window that ends in the base cell in which it began meets that cell twice
+    np.add.at(mass, np.ix_(*places), part)

@@ -1,0 +1,147 @@
+"""
+The loop over cells that move, compiled where numba is installed.
+
+numpy and scipy do the same, to the rounding of a sum, in transport; this does it in one pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+#: Axes that the loops are written for; a patch has so many, some of a single cell.
+AXES = 4
+
+
+def is_available() -> bool:
+    """Return whether there is a compiler."""
+    return _compiler() is not None
+
+
+def share(p: Array, moves: Sequence[Array], least: float, spread: Array, circles: Sequence[bool],
+          cells: tuple[int, ...], offset: tuple[int, ...]) -> tuple[Integers, Array]:
+    """
+    Return the first cell that is landed on, relative to that of p, and what lies from there on.
+
+    p: masses, (cells of each axis); moves: how far each goes along each axis, in cells, shapes
+    that broadcast to that of p; least: what is not worth carrying; spread: see transport; circles,
+    cells, offset: which axes are periodic, after how many cells, and where p begins on them.
+    """
+    n = p.ndim
+    extra = AXES - n
+    shape = (1,) * extra + p.shape
+    masses = p.reshape(shape)
+    still = np.broadcast_to(0.0, shape)
+    places = [still] * extra + [
+        np.broadcast_to(move.reshape((1,) * extra + move.shape), shape) for move in moves]
+    bounds, shared = _loops()
+    lows, highs = bounds(masses, *places, least)
+    first = np.rint(lows).astype(np.int64) - 1
+    count = np.rint(highs).astype(np.int64) + 1 - first + 1
+    first[:extra], count[:extra] = 0, 1
+    turns = np.zeros(AXES, dtype=np.int64)
+    for i in range(n):
+        if circles[i] and count[extra + i] >= cells[i]:
+            first[extra + i], count[extra + i] = -offset[i], cells[i]
+            turns[extra + i] = cells[i]
+    result = np.zeros(tuple(count))
+    shared(masses, *places, least, np.concatenate([np.zeros(extra), spread]), first, turns,
+           extra, result)
+    return first[extra:], result.reshape(tuple(count[extra:]))
+
+
+def warm_up() -> None:
+    """Compile now, so that no measurement waits for it."""
+    if is_available():
+        _loops()
+
+
+@cache
+def _compiler() -> Any:
+    """Return numba, None where it is not installed or does not go with numpy."""
+    try:
+        # at its first use, since importing it takes a second
+        import numba
+    except ImportError:
+        return None
+    return numba
+
+
+@cache
+def _loops() -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Return the two loops, compiled for arrays of any layout."""
+    numba = _compiler()
+    kinds = numba.types
+    read = kinds.Array(kinds.float64, AXES, 'A', readonly=True)
+    vector, whole = kinds.float64[::1], kinds.int64[::1]
+    inputs = (read,) * (1 + AXES) + (kinds.float64,)
+    compiled = numba.njit([inputs], cache=True, nogil=True)
+    shares = numba.njit([inputs + (vector, whole, whole, kinds.int64,
+                                   kinds.float64[:, :, :, ::1])], cache=True, nogil=True)
+    return compiled(_bounds), shares(_share)
+
+
+def _bounds(p, a, b, c, d, least):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Return the least and the greatest place on each axis."""
+    low, high = np.full(4, np.inf), np.full(4, -np.inf)
+    for i in range(p.shape[0]):
+        for j in range(p.shape[1]):
+            for k in range(p.shape[2]):
+                for m in range(p.shape[3]):
+                    if p[i, j, k, m] > least:
+                        x = (i + a[i, j, k, m], j + b[i, j, k, m], k + c[i, j, k, m],
+                             m + d[i, j, k, m])
+                        for axis in range(4):
+                            low[axis] = min(low[axis], x[axis])
+                            high[axis] = max(high[axis], x[axis])
+    return low, high
+
+
+def _share(p, a, b, c, d, least, spread, first, turns, extra,  # type: ignore[no-untyped-def]
+           result):  # pragma: no cover
+    """Add to result what the cells of p give to the nodes around the places where they land."""
+    node = np.zeros((4, 3), dtype=np.int64)
+    w = np.zeros((4, 3))
+    x = np.zeros(4)
+    few = np.zeros(4, dtype=np.int64)
+    for axis in range(extra):
+        w[axis, 0] = 1.0
+        few[axis] = 1
+    few[extra:] = 3
+    for i in range(p.shape[0]):
+        for j in range(p.shape[1]):
+            for k in range(p.shape[2]):
+                for m in range(p.shape[3]):
+                    mass = p[i, j, k, m]
+                    if not mass > least:
+                        continue
+                    x[0], x[1] = i + a[i, j, k, m], j + b[i, j, k, m]
+                    x[2], x[3] = k + c[i, j, k, m], m + d[i, j, k, m]
+                    for axis in range(extra, 4):
+                        middle = np.rint(x[axis])
+                        off = x[axis] - middle
+                        v = max(spread[axis], abs(off) * (1 - abs(off))) + off * off
+                        w[axis, 0] = max((v - off) / 2, 0.0)
+                        w[axis, 1] = 1 - v
+                        w[axis, 2] = max((v + off) / 2, 0.0)
+                        for s in range(3):
+                            place = int(middle) + s - 1 - first[axis]
+                            if turns[axis]:
+                                place %= turns[axis]
+                            node[axis, s] = place
+                    for s0 in range(few[0]):
+                        w0 = mass * w[0, s0]
+                        for s1 in range(few[1]):
+                            w1 = w0 * w[1, s1]
+                            for s2 in range(few[2]):
+                                w2 = w1 * w[2, s2]
+                                for s3 in range(few[3]):
+                                    result[node[0, s0], node[1, s1], node[2, s2],
+                                           node[3, s3]] += w2 * w[3, s3]

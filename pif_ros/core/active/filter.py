@@ -1,0 +1,251 @@
+"""Predict and correct, where the belief is and nowhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pif_ros.core.active.belief import ActiveBelief, Patch
+from pif_ros.core.active.compiled import warm_up
+from pif_ros.core.active.flow import flow, parting_rate
+from pif_ros.core.active.focus import fitted, focused
+from pif_ros.core.active.settings import RegionSettings
+from pif_ros.core.active.transport import moved, Moves
+from pif_ros.core.active.window import Window
+from pif_ros.core.belief import GridBelief
+from pif_ros.core.controls import Controls, NANOSECONDS, NO_CONTROLS
+from pif_ros.core.grid import Grid
+from pif_ros.core.likelihood import GridLikelihood
+from pif_ros.core.models import Sensor, StateModel
+
+Array = NDArray[np.float64]
+
+#: By what share of a cell neighbouring cells may part or meet in a step: further apart, what they
+#: hold would not overlap any more.
+PARTED = 0.5
+#: A product below this share of the largest likelihood may have lost digits to underflow.
+UNSAFE = 1e-200
+#: Within how many standard deviations a Gaussian prior is kept.
+AROUND = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class ActiveGridFilter:
+    """
+    The filter that keeps the whole density, but only where there is some.
+
+    grid: the world, and its widest cells, never all of them made; time_step:
+    seconds of the longest step, which is shorter where neighbouring cells part; average_cells:
+    whether a likelihood narrower than a cell is averaged over it; region: which cells are kept.
+    Raises ValueError for a model whose noise depends on the state or is correlated.
+    """
+
+    model: StateModel
+    grid: Grid
+    sensors: Mapping[str, Sensor]
+    time_step: float
+    average_cells: bool = True
+    region: RegionSettings = RegionSettings()
+    time_step_ns: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Hold the step in whole nanoseconds, and refuse what does not fit the model."""
+        if self.grid.ndim != self.model.ndim:
+            raise ValueError(f'grid: expected {self.model.ndim} axes, one for each state, '
+                             f'got {self.grid.ndim}')
+        if not 0 < self.time_step < np.inf:
+            raise ValueError('time_step: expected a positive number of seconds, '
+                             f'got {self.time_step!r}')
+        refused = unsuited(self.model)
+        if refused:
+            raise ValueError(f'region: {refused}')
+        object.__setattr__(self, 'time_step_ns', max(round(self.time_step * NANOSECONDS), 1))
+
+    def gaussian(self, mean: ArrayLike, covariance: ArrayLike) -> ActiveBelief:
+        """Return a Gaussian density, cut at the edges of the world."""
+        mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
+        window = _around(self.grid, mean, covariance, self.region)
+        belief = GridBelief.gaussian(window.grid, mean, covariance)
+        return fitted(ActiveBelief(self.grid, (Patch(window, belief.density),)), self.region)
+
+    def uniform(self) -> ActiveBelief:
+        """Return the density that knows nothing but the world; it has all of its cells."""
+        density = GridBelief.uniform(self.grid).density
+        return ActiveBelief(self.grid, (Patch(Window.whole(self.grid), density),))
+
+    def predict(self, belief: ActiveBelief, from_ns: int, to_ns: int,
+                controls: Controls = NO_CONTROLS) -> ActiveBelief:
+        """
+        Return the density carried from one stamp to a later one.
+
+        Whole steps are counted from from_ns; a remainder is a shorter step.  Raises ValueError
+        where to_ns lies before from_ns.
+        """
+        if to_ns < from_ns:
+            raise ValueError(f'to_ns: expected a stamp from {from_ns} on, got {to_ns}')
+        for start_ns in range(from_ns, to_ns, self.time_step_ns):
+            belief = self._carried(belief, start_ns, min(start_ns + self.time_step_ns, to_ns),
+                                   controls)
+        return belief
+
+    def correct(self, belief: ActiveBelief, y: ArrayLike, sensor: str,
+                at_ns: int) -> tuple[ActiveBelief, float]:
+        """
+        Return the density given a measurement y of a sensor, and log p(y | all before it).
+
+        Where the cells are too wide for what it leaves, they are halved before it and it is used
+        anew.  The evidence counts what has left the world as lost.  Where no cell of the belief
+        allows the measurement at all, the belief stays as it is and the evidence is -inf.
+        """
+        y, t, prior = np.asarray(y, dtype=float), at_ns / NANOSECONDS, belief
+        posterior, log_evidence = self._corrected(prior, y, sensor, t)
+        if log_evidence == -np.inf:
+            return belief, log_evidence
+        for _ in range(self.region.finest):
+            finer = focused(prior, posterior, self.region)
+            if finer is None:
+                break
+            prior = finer
+            posterior, log_evidence = self._corrected(prior, y, sensor, t)
+        return fitted(posterior, self.region), log_evidence
+
+    def log_peak(self, belief: ActiveBelief, sensor: str, at_ns: int) -> float:
+        """Return the log evidence of a measurement that is just as the belief is sure it is."""
+        return self.sensors[sensor].log_peak(at_ns / NANOSECONDS)
+
+    def describe(self) -> str:
+        """Return what the world is like, in a line; what is compiled is compiled now."""
+        warm_up()
+        return (f'Dirac-Feynman filter on the active ones of '
+                f'{" x ".join(map(str, self.grid.shape))} cells, each axis of which is halved up '
+                f'to {self.region.finest} times where the belief is narrow')
+
+    def remarks(self) -> list[str]:
+        """Return nothing: the cells adapt."""
+        return []
+
+    def _carried(self, belief: ActiveBelief, from_ns: int, to_ns: int,
+                 controls: Controls) -> ActiveBelief:
+        """Return a belief after the time of a step, in as many as keep neighbours together."""
+        rate = max((parting_rate(self.model, patch.window, from_ns, to_ns, controls)
+                    for patch in belief.patches), default=0.0)
+        count = max(1, int(np.ceil((to_ns - from_ns) / NANOSECONDS * rate / PARTED)))
+        ends = [from_ns + (to_ns - from_ns) * k // count for k in range(count + 1)]
+        for start_ns, end_ns in zip(ends, ends[1:]):
+            middle = (start_ns + end_ns) / 2 / NANOSECONDS
+            # the variance of the noise in the step: eps g  [TM, Eq. 93]
+            variance = (end_ns - start_ns) / NANOSECONDS * np.diag(self.model.diffusion(middle))
+            moves = self._moves(start_ns, end_ns, controls, rate)
+            patches = [_in_the_world(moved(patch, moves, variance / patch.window.spacing**2))
+                       for patch in belief.patches]
+            belief = fitted(replace(belief, patches=tuple(p for p in patches if p is not None)),
+                            self.region)
+        return belief
+
+    def _moves(self, from_ns: int, to_ns: int, controls: Controls, rate: float) -> Moves:
+        """Return what tells how far the drift moves the cells of a window in a step."""
+        def moves(window: Window) -> Array:
+            axes = [axis.mean(keepdims=True) if i in self.model.homogeneous else axis
+                    for i, axis in enumerate(window.grid.axes)]
+            x = np.stack(np.meshgrid(*axes, indexing='ij'))
+            end = flow(self.model, x, from_ns, to_ns, controls, rate)
+            cells: Array = (end - x) / window.spacing.reshape(-1, *(1,) * len(axes))
+            return cells
+        return moves
+
+    def _corrected(self, belief: ActiveBelief, y: Array, sensor: str,
+                   t: float) -> tuple[ActiveBelief, float]:
+        """Return p(y | x) p(x) / p(y) cell by cell, and log p(y)  [Sensors, Eq. 27]."""
+        log_l = [self._log_likelihood(patch, y, sensor, t) for patch in belief.patches]
+        p = [patch.density for patch in belief.patches]
+        joint, peak = _product(p, log_l)
+        if peak == -np.inf:
+            return belief, -np.inf
+        evidence = sum(float(q.sum() * patch.window.spacing.prod())
+                       for q, patch in zip(joint, belief.patches))
+        patches = tuple(Patch(patch.window, q / evidence)
+                        for q, patch in zip(joint, belief.patches))
+        return ActiveBelief(belief.base, patches), peak + float(np.log(evidence))
+
+    @np.errstate(all='ignore')
+    def _log_likelihood(self, patch: Patch, y: Array, sensor: str, t: float) -> Array:
+        """Return log p(y | x), a shape that broadcasts to the patch's; -inf where undefined."""
+        seen, grid, p = self.sensors[sensor].states, patch.window.grid, patch.density
+        unseen = tuple(i for i in range(grid.ndim) if seen is not None and i not in seen)
+        if unseen:
+            # two cells stand for all of an axis that the sensor does not see
+            shape = tuple(2 if i in unseen else count for i, count in enumerate(grid.shape))
+            grid = Grid(grid.lower, grid.upper, shape, grid.periodic)
+            p = np.broadcast_to(p.max(axis=unseen, keepdims=True), shape)
+        likelihood = GridLikelihood(grid, self.sensors[sensor], self.average_cells)
+        log_l = likelihood.log(y, p.ravel(), t).reshape(grid.shape)
+        one = tuple(slice(0, 1) if i in unseen else slice(None) for i in range(grid.ndim))
+        return np.where(np.isnan(log_l[one]), -np.inf, log_l[one])
+
+
+@np.errstate(all='ignore')
+def _product(p: Sequence[Array], log_l: Sequence[Array]) -> tuple[list[Array], float]:
+    """Return p exp(log_l - peak), and the peak; with logs of p too where it would underflow."""
+    peak = max((float(part.max()) for part in log_l), default=-np.inf)
+    if np.isfinite(peak):
+        joint = [density * np.exp(part - peak) for density, part in zip(p, log_l)]
+        if sum(float(q.sum()) for q in joint) > UNSAFE:
+            return joint, peak
+    log_joint = [np.log(density) + part for density, part in zip(p, log_l)]
+    peak = max((float(part.max()) for part in log_joint), default=-np.inf)
+    return [np.exp(part - peak) for part in log_joint], peak
+
+
+def unsuited(model: StateModel) -> str:
+    """Return why a model cannot be kept where it is alone, '' where it can."""
+    if model.multiplicative:
+        return ("expected 'full' where the noise depends on the state, got a vielbein that is a "
+                'function of it')
+    g = model.diffusion(0.0)
+    if np.any(g - np.diag(np.diag(g))):
+        return f"expected 'full' where the noise of the states is correlated, got {g.tolist()}"
+    return ''
+
+
+def _around(grid: Grid, mean: Array, covariance: Array, region: RegionSettings) -> Window:
+    """Return cells that hold a Gaussian, and are as fine as it needs; all where it is none."""
+    if (mean.shape != (grid.ndim,) or covariance.shape != (grid.ndim, grid.ndim)
+            or not np.all(np.isfinite(mean)) or not np.all(grid.contains(mean))
+            or not np.all(np.linalg.eigvalsh(covariance) > 0)):
+        return Window.whole(grid)
+    # the width given all other states, as features are measured
+    narrow = 1 / np.sqrt(np.diag(np.linalg.inv(covariance)))
+    level = np.clip(np.ceil(np.log2(region.resolution * grid.spacing / narrow)), 0, region.finest)
+    while True:
+        window = _box_around(grid, mean, np.sqrt(np.diag(covariance)), level.astype(int))
+        if window.size <= grid.size or not level.any():
+            return window
+        level[np.argmax(level)] -= 1
+
+
+def _box_around(grid: Grid, mean: Array, spread: Array, level: NDArray[np.int64]) -> Window:
+    """Return the cells of a level within some standard deviations of a point."""
+    width, shape = grid.spacing / np.exp2(level), np.array(grid.shape) << level
+    reach = AROUND * spread + 2 * width
+    first = np.floor((mean - reach - grid.lower) / width)
+    last = np.ceil((mean + reach - grid.lower) / width)
+    circle = np.array(grid.periodic)
+    first = np.where(circle, first, np.clip(first, 0, shape - 2))
+    last = np.where(circle, last, np.clip(last, first + 2, shape))
+    return Window.of(grid, level, first, last - first)
+
+
+def _in_the_world(patch: Patch) -> Patch | None:
+    """Return what of a patch has not left the world, None where nothing has stayed."""
+    window, box, first = patch.window, [], []
+    for offset, count, cells, round_ in zip(window.offset, window.shape, window.cells,
+                                            window.base.periodic):
+        low, high = (0, count) if round_ else (max(-offset, 0), min(count, cells - offset))
+        if high - low < 2:
+            return None
+        box.append(slice(low, high))
+        first.append(offset + low)
+    density = np.ascontiguousarray(patch.density[tuple(box)])
+    return Patch(Window.of(window.base, window.level, first, density.shape), density)

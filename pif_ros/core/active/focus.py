@@ -1,0 +1,95 @@
+"""
+Cells as fine as the belief is narrow  [Sensors, section 4.3, strategy 2].
+
+Fine cells are never more than the world has wide ones: where they would be, the heaviest patches
+get theirs first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from pif_ros.core.active.belief import ActiveBelief, Patch
+from pif_ros.core.active.regions import regions
+from pif_ros.core.active.resolution import halved, paired, widths
+from pif_ros.core.active.settings import RegionSettings
+from pif_ros.core.active.window import Window
+
+#: Features wider than this many times what is asked for are kept on cells twice as wide: more
+#: than 2, so that what was paired is not halved again at once.
+LAVISH = 2.5
+#: A measurement may leave features narrower than asked for by this factor before it is used anew
+#: on finer cells.
+TOLERATED = 0.7
+#: A patch with less than this share of the mass is not made finer before a measurement.
+LIGHT = 1e-6
+
+
+def fitted(belief: ActiveBelief, settings: RegionSettings) -> ActiveBelief:
+    """Return a belief in the patches and on the cells that suit it."""
+    belief = regions(belief, settings.negligible)
+    room, patches = belief.base.size - belief.size, []
+    for patch in sorted(belief.patches, key=lambda patch: -patch.mass):
+        wanted = widths(patch)
+        for axis, level in enumerate(patch.window.level):
+            if wanted[axis] > LAVISH * settings.resolution and level > 0:
+                patch = paired(patch, axis)
+            elif wanted[axis] < settings.resolution and level < settings.finest:
+                if patch.window.size <= room:
+                    room -= patch.window.size
+                    patch = halved(patch, axis)
+        patches.append(patch)
+    return replace(belief, patches=tuple(patches))
+
+
+def focused(prior: ActiveBelief, posterior: ActiveBelief,
+            settings: RegionSettings) -> ActiveBelief | None:
+    """
+    Return a prior on the cells that its posterior needs, None where those that it has will do.
+
+    What a measurement leaves may be narrower than a cell: it is then to be made anew, from this.
+    """
+    room, result, changed = prior.base.size - prior.size, [], False
+    for before, after in zip(prior.patches, posterior.patches):
+        finer = _finer(before, after, settings, room) if after.mass > LIGHT else None
+        changed |= finer is not None
+        result += finer or [before]
+        room -= sum(patch.window.size for patch in finer or [])
+    return replace(prior, patches=tuple(result)) if changed else None
+
+
+def _finer(before: Patch, after: Patch, settings: RegionSettings, room: int) -> list[Patch] | None:
+    """Return the parts of a patch that its posterior needs, halved; None where none are narrow."""
+    parts = regions(ActiveBelief(after.window.base, (after,)), settings.negligible).patches
+    result, changed = [], False
+    for part in parts:
+        narrow = [axis for axis, width in enumerate(widths(part))
+                  if width < TOLERATED * settings.resolution
+                  and part.window.level[axis] < settings.finest]
+        inner = _inside(before, part.window)
+        if inner.window.size << len(narrow) <= room:
+            changed |= len(narrow) > 0
+            for axis in narrow:
+                inner = halved(inner, axis)
+        result.append(inner)
+    return result if changed else None
+
+
+def _inside(patch: Patch, window: Window) -> Patch:
+    """Return what of a patch lies in a window of its level, and two cells around it."""
+    places, first = [], []
+    for axis, circle in enumerate(patch.window.circles):
+        start, count = window.offset[axis] - patch.window.offset[axis], window.shape[axis]
+        if window.base.periodic[axis]:
+            start %= window.cells[axis]
+        cells = np.arange(start - 2, start + count + 2)
+        if circle:
+            cells = cells[:window.cells[axis]] % window.cells[axis]
+        else:
+            cells = cells[(cells >= 0) & (cells < patch.window.shape[axis])]
+            start = int(cells[0]) + 2
+        places.append(cells)
+        first.append(patch.window.offset[axis] + start - 2)
+    density = patch.density[np.ix_(*places)]
+    return Patch(Window.of(window.base, window.level, first, density.shape), density)

@@ -1,0 +1,159 @@
+"""
+How a patch of probability moves: along the flow of the drift, and into the width of the noise.
+
+Half of the noise acts before and half after the drift  [Strang 1968], which is second order in the
+step.  What a cell holds lands where the flow takes its centre, shared among three nodes on each
+axis, and the noise is a Gaussian on the lattice: mass and mean are exact, the variance too
+where the noise is at least a quarter of a cell squared, and nothing is ever negative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from pif_ros.core.active import compiled
+from pif_ros.core.active.belief import Patch
+from pif_ros.core.active.window import Window
+from scipy import ndimage
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+#: How far the drift moves what lies in each cell of a window, in cells, (n, ...), with one value
+#: along an axis on which it is the same everywhere.
+Moves = Callable[[Window], Array]
+
+#: The variance, in cells squared, that three nodes can give to any place between them alike.
+SPREAD = 0.25
+#: How many standard deviations of the noise are kept: 1e-12 of it lies beyond.
+REACH = 7.1
+#: Iterations for the width of the noise; they converge in six.
+NEWTON = 10
+#: A cell with less than this share of the densest one is not worth carrying.
+NOTHING = 1e-14
+#: Cells that are carried at a time.
+CHUNK = 1 << 15
+
+
+def moved(patch: Patch, moves: Moves, variance: Array) -> Patch:
+    """Return a patch after a step; variance: that of the noise in it, in cells squared, (n,)."""
+    spread = np.minimum(variance, SPREAD)
+    # sharing comes after the flow, as the second half of the noise does, and is a part of it
+    after = np.maximum(variance / 2, spread)
+    wide = heated(patch, variance - after)
+    return heated(deposited(wide, moves(wide.window), spread), after - spread)
+
+
+def heated(patch: Patch, variance: Array) -> Patch:
+    """Return a patch that the noise has widened by variances in cells squared, (n,)."""
+    kernels = [noise_kernel(v) for v in variance]
+    patch = _closed(patch, [len(kernel) // 2 for kernel in kernels])
+    window, p = patch.window, patch.density
+    reach = [0 if circle else len(kernel) // 2
+             for kernel, circle in zip(kernels, window.circles)]
+    if any(reach):
+        p = np.pad(p, [(k, k) for k in reach])
+    for axis, kernel in enumerate(kernels):
+        if len(kernel) > 1:
+            p = ndimage.convolve1d(p, kernel, axis,
+                                   mode='wrap' if window.circles[axis] else 'constant')
+    return _placed(window, -np.array(reach), p)
+
+
+def _closed(patch: Patch, reach: list[int]) -> Patch:
+    """Return a patch on all of each circle that it will go round when it grows by its reach."""
+    window, p = patch.window, patch.density
+    offset = list(window.offset)
+    for axis, round_ in enumerate(window.base.periodic):
+        missing = window.cells[axis] - p.shape[axis]
+        if round_ and 0 < missing <= 2 * reach[axis]:
+            p = np.pad(p, [(0, missing if i == axis else 0) for i in range(p.ndim)])
+            p = np.roll(p, offset[axis], axis)
+            offset[axis] = 0
+    return Patch(Window.of(window.base, window.level, offset, p.shape), p)
+
+
+def noise_kernel(variance: float) -> Array:
+    """
+    Return the weights of moves by -K to K cells with a variance in cells squared, (2 K + 1,).
+
+    exp(-a k^2) up to a factor, with the a that makes the variance exact: a Gaussian sampled at the
+    nodes, where it is wide, and three nodes where it is thin.  Its fourth moment is a Gaussian's
+    from half a cell on, while that of the lattice's own heat kernel exp(-v) I_k(v) is always too
+    large, by v.
+    """
+    if variance <= 0:
+        return np.ones(1)
+    k = np.arange(-int(np.ceil(REACH * np.sqrt(variance))) - 2,
+                  int(np.ceil(REACH * np.sqrt(variance))) + 3)
+    a = 1 / (2 * variance)
+    for _ in range(NEWTON):
+        w = np.exp(-a * k * k)
+        w /= w.sum()
+        found = float(w @ k**2)
+        # d variance / d a = variance^2 - fourth moment
+        slope = found**2 - float(w @ k**4)
+        a = max(a - (found - variance) / slope if slope < 0 else 2 * a, 0.5 * a)
+    weights: Array = np.exp(-a * k * k)
+    return weights / weights.sum()
+
+
+def deposited(patch: Patch, move: Array, spread: Array) -> Patch:
+    """
+    Return a patch whose cells have moved; a place off the lattice is shared by its nodes.
+
+    move: in cells, (n, ...); spread: the variance that this is to have, at most 1/4, (n,).  With d
+    in [-1/2, 1/2] from the nearest node, and v = spread or |d| (1 - |d|) where that is more:
+    w_0 = 1 - (v + d^2), w_(+-1) = (v + d^2 +- d) / 2.
+    """
+    window, p = patch.window, patch.density
+    least = NOTHING * float(p.max())
+    if compiled.is_available():
+        return _placed(window, *compiled.share(
+            p, list(move), least, spread, window.base.periodic, window.cells, window.offset))
+    index = np.nonzero(p > least)
+    mass = p[index]
+    places = [cell + np.broadcast_to(m, p.shape)[index] for cell, m in zip(index, move)]
+    first, shape = _landed(window, places)
+    result = np.zeros(int(np.prod(shape)))
+    for k in range(0, len(mass), CHUNK):
+        result += _shared([place[k:k + CHUNK] for place in places], mass[k:k + CHUNK], spread,
+                          window, first, shape)
+    return _placed(window, first, result.reshape(shape))
+
+
+def _landed(window: Window, places: list[Array]) -> tuple[Integers, Integers]:
+    """Return the first cell and the shape of what is landed on; a circle at most once round."""
+    first = np.array([np.rint(place.min()) - 1 for place in places]).astype(np.int64)
+    last = np.array([np.rint(place.max()) + 1 for place in places]).astype(np.int64)
+    shape = last - first + 1
+    for i, round_ in enumerate(window.base.periodic):
+        if round_ and shape[i] >= window.cells[i]:
+            first[i], shape[i] = -window.offset[i], window.cells[i]
+    return first, shape
+
+
+def _shared(places: list[Array], mass: Array, spread: Array, window: Window, first: Integers,
+            shape: Integers) -> Array:
+    """Return what comes of some cells' mass in each cell that is landed on, flat."""
+    node, weight = np.zeros(1, dtype=np.int64), mass
+    for i, place in enumerate(places):
+        middle = np.rint(place)
+        d = place - middle
+        v = np.maximum(spread[i], np.abs(d) * (1 - np.abs(d)))
+        w = np.stack([(v + d * d - d) / 2, 1 - v - d * d, (v + d * d + d) / 2])
+        # where v only just suffices, rounding must not go below 0
+        np.maximum(w, 0.0, out=w)
+        nodes = middle.astype(np.int64) + np.arange(-1, 2)[:, None] - first[i]
+        if window.base.periodic[i] and shape[i] == window.cells[i]:
+            nodes %= shape[i]
+        node = node[..., None, :] * shape[i] + nodes
+        weight = weight[..., None, :] * w
+    return np.asarray(np.bincount(node.ravel(), weight.ravel(), int(np.prod(shape))), dtype=float)
+
+
+def _placed(window: Window, first: Integers, density: Array) -> Patch:
+    """Return a density whose first cell is so many cells from the window's."""
+    return Patch(Window.of(window.base, window.level, np.array(window.offset) + first,
+                           density.shape), density)

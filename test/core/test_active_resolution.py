@@ -1,0 +1,95 @@
+"""Finer and coarser cells: what they keep."""
+
+import numpy as np
+from pif_ros.core.active.belief import ActiveBelief, Patch
+from pif_ros.core.active.resolution import halved, paired, widths
+from pif_ros.core.active.window import Window
+from pif_ros.core.grid import Grid
+import pytest
+
+#: Its own cells are 2 wide; the patches are on those of 1.
+LINE = Grid((-20.0,), (20.0,), (20,))
+FINE = Window(LINE, (1,), (0,), (40,))
+PLANE = Grid((-20.0, -20.0), (20.0, 20.0), (80, 80))
+
+
+def gaussian(sigma, mean=0.3):
+    x = FINE.grid.axes[0]
+    return Patch(FINE, np.exp(-0.5 * ((x - mean) / sigma)**2)
+                 / np.sqrt(2 * np.pi) / sigma)
+
+
+def moments(patch):
+    belief = ActiveBelief(patch.window.base, (patch,))
+    return belief.mass, belief.mean()[0], belief.covariance()[0, 0]
+
+
+@pytest.mark.parametrize('change', [halved, paired])
+@pytest.mark.parametrize('sigma', [1.3, 2.0, 4.0])
+def test_mass_mean_and_nearly_the_variance_are_kept(change, sigma):
+    before = moments(gaussian(sigma))
+    after = moments(change(gaussian(sigma), 0))
+    assert after[0] == pytest.approx(before[0], rel=1e-12)
+    # halving: to the share of mass far out where the slope is cut off
+    assert after[1] == pytest.approx(before[1], abs=2e-4)
+    # pairing moves each half by a quarter of the new cell, whose width is 2
+    gained = {halved: 0.0, paired: 0.25**2 * 2**2}[change]
+    assert after[2] - before[2] == pytest.approx(gained, abs=3e-3)
+
+
+def test_a_pair_of_rough_cells_keeps_its_mean_too():
+    rng = np.random.default_rng(0)
+    patch = Patch(Window(LINE, (1,), (7,), (9,)), rng.random(9))
+    before, after = moments(patch), moments(paired(patch, 0))
+    assert after[:2] == pytest.approx(before[:2], rel=1e-12)
+
+
+def test_halving_is_second_order_accurate():
+    errors = []
+    for cells in (20, 40, 80):
+        line = Grid((-10.0,), (10.0,), (cells,))
+        patch = halved(Patch(Window.whole(line), np.exp(-0.5 * (line.axes[0] / 2)**2)), 0)
+        x = patch.window.grid.axes[0]
+        inside = np.abs(x) < 9
+        errors.append(np.abs(patch.density - np.exp(-0.5 * (x / 2)**2))[inside].max())
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(orders > 1.8)
+
+
+def test_nothing_is_ever_negative():
+    rng = np.random.default_rng(1)
+    p = np.where(rng.random((30, 30)) < 0.2, rng.random((30, 30)), 0.0)
+    patch = Patch(Window(PLANE, (0, 0), (3, 5), (30, 30)), p)
+    for axis in (0, 1):
+        patch = halved(patch, axis)
+        assert patch.density.min() >= 0
+    assert paired(patch, 0).density.min() >= 0
+    assert patch.mass == pytest.approx(p.sum() * 0.25, rel=1e-12)
+
+
+def test_a_circle_is_halved_and_paired_round_itself():
+    circle = Grid((-np.pi,), (np.pi,), (24,), (True,))
+    p = 1 + 0.5 * np.cos(circle.axes[0] - 3.0)
+    patch = halved(Patch(Window.whole(circle), p), 0)
+    assert patch.window.shape == (48,) and patch.window.circles == (True,)
+    fine = 1 + 0.5 * np.cos(patch.window.grid.axes[0] - 3.0)
+    # second order: (2 pi / 24)^2 / 16 of the curvature
+    np.testing.assert_allclose(patch.density, fine, atol=0.004)
+    again = paired(patch, 0)
+    assert again.window == Window.whole(circle)
+    assert again.mass == pytest.approx(float(p.sum() * circle.cell_volume), rel=1e-12)
+
+
+def test_the_width_of_a_gaussian_is_its_standard_deviation_given_the_others():
+    precision = np.array([[1.0, 0.8], [0.8, 1.0]]) / 4
+    d = PLANE.points
+    p = np.exp(-0.5 * np.einsum('ik,ij,jk->k', d, precision, d)).reshape(PLANE.shape)
+    # differences over a cell of a fourth of the width see it a half per cent too wide
+    np.testing.assert_allclose(widths(Patch(Window.whole(PLANE), p)), 2 / 0.5, rtol=0.01)
+
+
+def test_the_width_of_many_humps_is_that_of_one():
+    x = FINE.grid.axes[0]
+    hump = np.exp(-0.5 * (x / 1.5)**2)
+    two = np.exp(-0.5 * ((x - 10) / 1.5)**2) + 0.1 * np.exp(-0.5 * ((x + 10) / 1.5)**2)
+    assert widths(Patch(FINE, two))[0] == pytest.approx(widths(Patch(FINE, hump))[0], rel=1e-3)
