@@ -108,3 +108,16 @@ def test_a_belief_without_mass_stays():
     nothing = ActiveBelief(PLANE, (Patch(Window(PLANE, (0, 0), (3, 3), (4, 4)),
                                          np.zeros((4, 4))),))
     assert regions(nothing, 1e-6) is nothing
+
+
+@pytest.mark.parametrize('places', [[(0, 0), (30, 3)], [(0, 0), (30, 0)], [(199, 199), (0, 199)],
+                                    [(199, 5)]])
+def test_a_single_cell_is_a_patch_too_and_keeps_its_mass(places):
+    p = np.zeros(PLANE.shape)
+    for place in places:
+        p[place] = 1.0
+    whole = ActiveBelief(PLANE, (Patch(Window.whole(PLANE), p),))
+    belief = regions(whole, 1e-6)
+    assert len(belief.patches) == len(places)
+    assert all(min(patch.window.shape) >= 2 for patch in belief.patches)
+    np.testing.assert_array_equal(belief.on(PLANE, (0, 1)).density, p)

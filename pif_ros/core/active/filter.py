@@ -12,7 +12,8 @@ from pif_ros.core.active.compiled import warm_up
 from pif_ros.core.active.flow import flow, parting_rate
 from pif_ros.core.active.focus import fitted, focused
 from pif_ros.core.active.settings import RegionSettings
-from pif_ros.core.active.transport import moved, Moves
+from pif_ros.core.active.parting import MOST, moved_on_finer, parting
+from pif_ros.core.active.transport import Moves, SPREAD
 from pif_ros.core.active.window import Window
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.controls import Controls, NANOSECONDS, NO_CONTROLS
@@ -22,8 +23,8 @@ from pif_ros.core.models import Sensor, StateModel
 
 Array = NDArray[np.float64]
 
-#: By what share of a cell neighbouring cells may part or meet in a step: further apart, what they
-#: hold would not overlap any more.
+#: By what share of a cell neighbouring cells may part or meet in a step that has noise: half of it
+#: comes before and half after the drift, which is of second order in this.
 PARTED = 0.5
 #: A product below this share of the largest likelihood may have lost digits to underflow.
 UNSAFE = 1e-200
@@ -128,21 +129,39 @@ class ActiveGridFilter:
 
     def _carried(self, belief: ActiveBelief, from_ns: int, to_ns: int,
                  controls: Controls) -> ActiveBelief:
-        """Return a belief after the time of a step, in as many as keep neighbours together."""
+        """Return a belief after the time of a step, in as few as its noise and its drift allow."""
         rate = max((parting_rate(self.model, patch.window, from_ns, to_ns, controls)
                     for patch in belief.patches), default=0.0)
-        count = max(1, int(np.ceil((to_ns - from_ns) / NANOSECONDS * rate / PARTED)))
+        thin = all(np.all(self._variance(patch.window, from_ns, to_ns) <= SPREAD)
+                   for patch in belief.patches)
+        parted = (to_ns - from_ns) / NANOSECONDS * rate
+        count = 1 if thin else max(1, int(np.ceil(parted / PARTED)))
         ends = [from_ns + (to_ns - from_ns) * k // count for k in range(count + 1)]
         for start_ns, end_ns in zip(ends, ends[1:]):
-            middle = (start_ns + end_ns) / 2 / NANOSECONDS
-            # the variance of the noise in the step: eps g  [TM, Eq. 93]
-            variance = (end_ns - start_ns) / NANOSECONDS * np.diag(self.model.diffusion(middle))
-            moves = self._moves(start_ns, end_ns, controls, rate)
-            patches = [_in_the_world(moved(patch, moves, variance / patch.window.spacing**2))
-                       for patch in belief.patches]
-            belief = fitted(replace(belief, patches=tuple(p for p in patches if p is not None)),
-                            self.region)
+            belief = self._stepped(belief, start_ns, end_ns, controls, rate, thin)
         return belief
+
+    def _stepped(self, belief: ActiveBelief, from_ns: int, to_ns: int, controls: Controls,
+                 rate: float, thin: bool) -> ActiveBelief:
+        """Return a belief after a step, or after two of half its length where it falls apart."""
+        moves = self._moves(from_ns, to_ns, controls, rate)
+        halvings = [parting(patch, moves) if thin else None for patch in belief.patches]
+        middle_ns = (from_ns + to_ns) // 2
+        if any(often is not None and often.max() > MOST for often in halvings) \
+                and from_ns < middle_ns:
+            first = self._stepped(belief, from_ns, middle_ns, controls, rate, thin)
+            return self._stepped(first, middle_ns, to_ns, controls, rate, thin)
+        patches = [_in_the_world(moved_on_finer(
+            patch, moves, self._variance(patch.window, from_ns, to_ns), often))
+            for patch, often in zip(belief.patches, halvings)]
+        return fitted(replace(belief, patches=tuple(p for p in patches if p is not None)),
+                      self.region)
+
+    def _variance(self, window: Window, from_ns: int, to_ns: int) -> Array:
+        """Return the variance of the noise in a step, eps g, in cells squared  [TM, Eq. 93]."""
+        g = self.model.diffusion((from_ns + to_ns) / 2 / NANOSECONDS)
+        cells: Array = (to_ns - from_ns) / NANOSECONDS * np.diag(g) / window.spacing**2
+        return cells
 
     def _moves(self, from_ns: int, to_ns: int, controls: Controls, rate: float) -> Moves:
         """Return what tells how far the drift moves the cells of a window in a step."""

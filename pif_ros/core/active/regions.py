@@ -99,8 +99,20 @@ def _cut(patch: Patch, negligible: float) -> Iterator[Patch]:
     for box in _boxes(_kept(patch.density, negligible)):
         window = patch.window
         first = [start + part.start for start, part in zip(window.offset, box)]
-        density = np.ascontiguousarray(patch.density[box])
-        yield Patch(Window.of(window.base, window.level, first, density.shape), density)
+        yield _thick(window, first, patch.density[box])
+
+
+def _thick(window: Window, first: list[int], density: Array) -> Patch:
+    """Return a patch of two cells each way at least, the second of which may be empty."""
+    for axis, count in enumerate(density.shape):
+        if count == 1:
+            at_the_edge = first[axis] + 1 >= window.cells[axis] and not window.base.periodic[axis]
+            more = (1, 0) if at_the_edge else (0, 1)
+            density = np.pad(density, [more if i == axis else (0, 0)
+                                       for i in range(density.ndim)])
+            first[axis] -= more[0]
+    density = np.ascontiguousarray(density)
+    return Patch(Window.of(window.base, window.level, first, density.shape), density)
 
 
 def _kept(p: Array, negligible: float) -> Mask:
@@ -172,15 +184,9 @@ def _halves(kept: Mask, axis: int, place: int) -> list[Box]:
 
 
 def _trimmed(kept: Mask) -> Box:
-    """Return the smallest box, of two cells each way at least, around what is kept."""
-    box = []
-    for axis, count in enumerate(kept.shape):
-        used = np.flatnonzero(_along(kept, axis))
-        start, stop = int(used[0]), int(used[-1]) + 1
-        start, stop = (start, stop) if stop - start > 1 else (
-            (start, start + 2) if start + 2 <= count else (max(start - 1, 0), start + 1))
-        box.append(slice(start, stop))
-    return tuple(box)
+    """Return the smallest box around what is kept."""
+    used = [np.flatnonzero(_along(kept, axis)) for axis in range(kept.ndim)]
+    return tuple(slice(int(cells[0]), int(cells[-1]) + 1) for cells in used)
 
 
 def _along(kept: Mask, axis: int) -> Mask:
