@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from numpy.typing import ArrayLike
+from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.continuous import DiracFeynmanYauFilter, ExtendedKalmanBucyFilter
 from pif_ros.core.filters import DiracFeynmanFilter, Filter
 from pif_ros.core.grid import Grid
@@ -61,6 +62,17 @@ class Problem:
             return filter_, (prior or self.prior)(filter_)
         entry = Entry(name, role, f'{_cells(grid)}, {_kernel(kernel)}')
         return Contender(entry, lambda seed: start(), shown or {})
+
+    def active(self, name: str, role: str, world: Grid, step: float,
+               prior: Prior | None = None) -> Contender:
+        """Return the filter that keeps the active cells of a world, halved where it is narrow."""
+        @cache
+        def start() -> tuple[Filter[Any], Any]:
+            filter_ = ActiveGridFilter(self.model, world, self.sensors, step)
+            filter_.describe()
+            return filter_, (prior or self.prior)(filter_)
+        entry = Entry(name, role, f'active ones of {_cells(world)}, steps of {step:g} s')
+        return Contender(entry, lambda seed: start())
 
     def particles(self, name: str, role: str, count: int, step: float,
                   box: Grid | None = None, shown: Mapping[str, Reading] | None = None,

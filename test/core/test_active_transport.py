@@ -111,10 +111,11 @@ def test_a_step_keeps_mass_and_has_mean_and_variance_exactly(variance):
     move = np.array([1.37, -2.2, 0.41])
     after = moved(patch, lambda window: move.reshape(3, 1, 1, 1), np.full(3, variance))
     cell = patch.window.spacing
-    assert after.mass == pytest.approx(patch.mass, rel=1e-12)
+    # but for planes with less than 1e-9 of the densest cell, some of them on each side
+    assert after.mass == pytest.approx(patch.mass, rel=1e-8)
     (mean, square), (mean_after, square_after) = linear_moments(patch), linear_moments(after)
-    np.testing.assert_allclose(mean_after - mean, move * cell, atol=1e-12)
-    np.testing.assert_allclose(square_after - square, variance * cell**2, rtol=1e-9)
+    np.testing.assert_allclose(mean_after - mean, move * cell, atol=1e-7)
+    np.testing.assert_allclose(square_after - square, variance * cell**2, rtol=1e-6)
 
 
 def test_thin_noise_is_spread_no_more_than_two_nodes_must():

@@ -1,28 +1,25 @@
 """
-The loop over cells that move, compiled where numba is installed.
+The loops over the cells of a patch, compiled where numba is installed.
 
-numpy and scipy do the same, to the rounding of a sum, in transport; this does it in one pass.
+numpy and scipy do the same, to the rounding of a sum, in transport; these do it in one pass.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pif_ros.core.compiler import compiler, is_available
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 #: Axes that the loops are written for; a patch has so many, some of a single cell.
 AXES = 4
-
-
-def is_available() -> bool:
-    """Return whether there is a compiler."""
-    return _compiler() is not None
 
 
 def share(p: Array, moves: Sequence[Array], least: float, spread: Array, circles: Sequence[bool],
@@ -41,7 +38,7 @@ def share(p: Array, moves: Sequence[Array], least: float, spread: Array, circles
     still = np.broadcast_to(0.0, shape)
     places = [still] * extra + [
         np.broadcast_to(move.reshape((1,) * extra + move.shape), shape) for move in moves]
-    bounds, shared = _loops()
+    bounds, shared, _ = _loops()
     lows, highs = bounds(masses, *places, least)
     first = np.rint(lows).astype(np.int64) - 1
     count = np.rint(highs).astype(np.int64) + 1 - first + 1
@@ -57,6 +54,15 @@ def share(p: Array, moves: Sequence[Array], least: float, spread: Array, circles
     return first[extra:], result.reshape(tuple(count[extra:]))
 
 
+def convolved(p: Array, weights: Array, axis: int, circle: bool) -> Array:
+    """Return p with each cell shared along an axis, moves -K to K with these weights (2 K + 1,)."""
+    before, after = p.shape[:axis], p.shape[axis + 1:]
+    flat = p.reshape(math.prod(before), p.shape[axis], math.prod(after))
+    result = np.zeros_like(flat)
+    _loops()[2](flat, weights, circle, result)
+    return result.reshape(p.shape)
+
+
 def warm_up() -> None:
     """Compile now, so that no measurement waits for it."""
     if is_available():
@@ -64,28 +70,18 @@ def warm_up() -> None:
 
 
 @cache
-def _compiler() -> Any:
-    """Return numba, None where it is not installed or does not go with numpy."""
-    try:
-        # at its first use, since importing it takes a second
-        import numba
-    except ImportError:
-        return None
-    return numba
-
-
-@cache
-def _loops() -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return the two loops, compiled for arrays of any layout."""
-    numba = _compiler()
+def _loops() -> tuple[Callable[..., Any], ...]:
+    """Return the loops, compiled for arrays of any layout."""
+    numba = compiler()
     kinds = numba.types
     read = kinds.Array(kinds.float64, AXES, 'A', readonly=True)
     vector, whole = kinds.float64[::1], kinds.int64[::1]
-    inputs = (read,) * (1 + AXES) + (kinds.float64,)
-    compiled = numba.njit([inputs], cache=True, nogil=True)
-    shares = numba.njit([inputs + (vector, whole, whole, kinds.int64,
-                                   kinds.float64[:, :, :, ::1])], cache=True, nogil=True)
-    return compiled(_bounds), shares(_share)
+    bounds = (read,) * (1 + AXES) + (kinds.float64,)
+    share = bounds + (vector, whole, whole, kinds.int64, kinds.float64[:, :, :, ::1])
+    planes = kinds.float64[:, :, ::1]
+    convolve = (planes, vector, kinds.boolean, planes)
+    return tuple(numba.njit([signature], cache=True, nogil=True)(loop) for signature, loop in
+                 ((bounds, _bounds), (share, _share), (convolve, _convolve)))
 
 
 def _bounds(p, a, b, c, d, least):  # type: ignore[no-untyped-def]  # pragma: no cover
@@ -145,3 +141,22 @@ def _share(p, a, b, c, d, least, spread, first, turns, extra,  # type: ignore[no
                                 for s3 in range(few[3]):
                                     result[node[0, s0], node[1, s1], node[2, s2],
                                            node[3, s3]] += w2 * w[3, s3]
+
+
+def _convolve(p, weights, circle, result):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Add to result each p[:, j] times a weight at j - K to j + K, round the axis if a circle."""
+    count, reach = p.shape[1], len(weights) // 2
+    for i in range(p.shape[0]):
+        for k in range(len(weights)):
+            w, move = weights[k], k - reach
+            first, last = max(0, -move), min(count, count - move)
+            # in one line each, whatever lies along the axis and beyond it
+            there = result[i, first + move:last + move].reshape(-1)
+            here = p[i, first:last].reshape(-1)
+            for j in range(len(here)):
+                there[j] += w * here[j]
+            if circle:
+                for j in range(count):
+                    if not 0 <= j + move < count:
+                        for m in range(p.shape[2]):
+                            result[i, (j + move) % count, m] += w * p[i, j, m]

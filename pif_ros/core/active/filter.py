@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -151,11 +151,12 @@ class ActiveGridFilter:
                 and from_ns < middle_ns:
             first = self._stepped(belief, from_ns, middle_ns, controls, rate, thin)
             return self._stepped(first, middle_ns, to_ns, controls, rate, thin)
-        patches = [_in_the_world(moved_on_finer(
-            patch, moves, self._variance(patch.window, from_ns, to_ns), often))
-            for patch, often in zip(belief.patches, halvings)]
-        return fitted(replace(belief, patches=tuple(p for p in patches if p is not None)),
-                      self.region)
+        patches = [moved_on_finer(patch, moves, self._variance(patch.window, from_ns, to_ns), often)
+                   for patch, often in zip(belief.patches, halvings)]
+        dropped = belief.dropped + max(belief.mass - sum(patch.mass for patch in patches), 0.0)
+        inside = [_in_the_world(patch) for patch in patches]
+        return fitted(ActiveBelief(belief.base, tuple(p for p in inside if p is not None),
+                                   dropped), self.region)
 
     def _variance(self, window: Window, from_ns: int, to_ns: int) -> Array:
         """Return the variance of the noise in a step, eps g, in cells squared  [TM, Eq. 93]."""

@@ -26,8 +26,10 @@ Moves = Callable[[Window], Array]
 
 #: The variance, in cells squared, that three nodes can give to any place between them alike.
 SPREAD = 0.25
-#: How many standard deviations of the noise are kept: 1e-12 of it lies beyond.
-REACH = 7.1
+#: How many standard deviations of the noise are kept: 2e-9 of it lies beyond.
+REACH = 6.0
+#: A plane none of whose cells has more than this share of the densest one is not carried.
+MARGIN = 1e-9
 #: Iterations for the width of the noise; they converge in six.
 NEWTON = 10
 #: A cell with less than this share of the densest one is not worth carrying.
@@ -41,7 +43,7 @@ def moved(patch: Patch, moves: Moves, variance: Array) -> Patch:
     spread = np.minimum(variance, SPREAD)
     # sharing comes after the flow, as the second half of the noise does, and is a part of it
     after = np.maximum(variance / 2, spread)
-    wide = heated(patch, variance - after)
+    wide = _without_margins(heated(patch, variance - after))
     return heated(deposited(wide, moves(wide.window), spread), after - spread)
 
 
@@ -55,10 +57,26 @@ def heated(patch: Patch, variance: Array) -> Patch:
     if any(reach):
         p = np.pad(p, [(k, k) for k in reach])
     for axis, kernel in enumerate(kernels):
-        if len(kernel) > 1:
-            p = ndimage.convolve1d(p, kernel, axis,
-                                   mode='wrap' if window.circles[axis] else 'constant')
+        circle = window.circles[axis]
+        if len(kernel) > 1 and compiled.is_available():
+            p = compiled.convolved(p, kernel, axis, circle)
+        elif len(kernel) > 1:
+            p = ndimage.convolve1d(p, kernel, axis, mode='wrap' if circle else 'constant')
     return _placed(window, -np.array(reach), p)
+
+
+def _without_margins(patch: Patch) -> Patch:
+    """Return a patch without the planes at its sides that hold next to nothing."""
+    p, window = patch.density, patch.window
+    first, last = np.zeros(p.ndim, dtype=np.int64), np.array(p.shape)
+    for axis, circle in enumerate(window.circles):
+        held = p.max(axis=tuple(i for i in range(p.ndim) if i != axis))
+        used = np.flatnonzero(held > MARGIN * held.max())
+        if len(used) and not circle:
+            first[axis] = min(used[0], p.shape[axis] - 2)
+            last[axis] = max(used[-1] + 1, first[axis] + 2)
+    inside = p[tuple(slice(a, b) for a, b in zip(first, last))]
+    return _placed(window, first, np.ascontiguousarray(inside))
 
 
 def _closed(patch: Patch, reach: list[int]) -> Patch:

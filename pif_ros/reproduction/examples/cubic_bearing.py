@@ -34,7 +34,7 @@ BOXES = {SMALL: Grid((-0.8, -0.8), (0.8, 0.8), (42, 42)),
 COUNTED = {SMALL: Grid((-0.8, -0.8), (0.8, 0.8), (80, 80)),
            LARGE: Grid((-1.6, -1.0), (1.6, 1.0), (80, 80))}
 PRINTED, BEST, BEYOND = 'grid, as printed', 'grid, best', 'grid, beyond the box'
-SIR, OPTIMUM = 'SIR, printed prior', 'particles in the box'
+SIR, OPTIMUM, ACTIVE = 'SIR, printed prior', 'particles in the box', 'grid, active'
 #: T = 1, where the paper shows the density of x1.
 AT = 99
 
@@ -109,6 +109,7 @@ def _contenders(quick: bool, name: str, sigma_y: float,
             {'film': film(box, 0)}),
         problem.grid('grid, as printed but the noise', '', box, KernelSettings(STEP)),
         problem.grid(BEST, 'best', fine, KernelSettings(STEP), shown={'film': film(fine, 0)}),
+        problem.active(ACTIVE, '', box, STEP),
         problem.particles(SIR, 'sir', 5000, STEP, prior=gaussian(sir_mean, np.eye(2)),
                           shown=counted),
         boxed.particles('SIR in the box', '', 5000, STEP, box, counted),
