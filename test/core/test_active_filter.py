@@ -42,6 +42,18 @@ def test_predicts_as_the_kalman_filter_does_second_order_in_the_step():
     assert errors[-1] < 1e-3
 
 
+@pytest.mark.parametrize('heading', [0.0, 3.0])
+def test_correlated_noise_has_its_covariance(heading):
+    e = np.array([[0.8, 0.0, 0.0], [0.5, 0.3, 0.0], [-0.1, 0.2, 0.4]])
+    model = StateModel(('x', 'y', 'theta'), lambda x, t: np.zeros_like(x), e)
+    world = Grid((-20, -20, -np.pi), (20, 20, np.pi), (100, 100, 48), (False, False, True))
+    filter_ = ActiveGridFilter(model, world, {}, 0.5, region=RegionSettings(1e-9, finest=0))
+    C = np.diag([0.5, 0.5, 0.1])
+    belief = filter_.predict(filter_.gaussian([1.0, 2.0, heading], C), 0, SECOND // 2)
+    np.testing.assert_allclose(belief.mean()[:2], [1.0, 2.0], atol=1e-6)
+    np.testing.assert_allclose(belief.covariance(), C + 0.5 * e @ e.T, atol=2e-4)
+
+
 def test_corrects_as_the_kalman_filter_does_by_what_is_narrower_than_its_cells():
     _, model = spiral()
     grid = Grid((-50, -50), (50, 50), (100, 100))
@@ -282,7 +294,7 @@ def test_a_cell_is_never_made_where_there_is_no_room():
 @pytest.mark.parametrize('model, told', [
     (StateModel(('x',), lambda x, t: -x, lambda x, t: x[None], multiplicative=True),
      'depends on the state'),
-    (StateModel(('x', 'y'), lambda x, t: -x, np.array([[1.0, 0.0], [0.5, 1.0]])), 'correlated')])
+    (StateModel(tuple('abcd'), lambda x, t: -x, np.eye(4) + 0.1), 'at most 3 axes')])
 def test_noise_that_it_cannot_carry_is_refused_in_a_line(model, told):
     n = model.ndim
     with pytest.raises(ValueError, match=told):

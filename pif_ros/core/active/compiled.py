@@ -55,7 +55,7 @@ def share(p: Array, moves: Sequence[Array], least: float, spread: Array, circles
 
 
 def convolved(p: Array, weights: Array, axis: int, circle: bool) -> Array:
-    """Return p with each cell shared along an axis, moves -K to K with these weights (2 K + 1,)."""
+    """Return p with each cell shared along an axis, moves -K to K with weights (2 K + 1,)."""
     before, after = p.shape[:axis], p.shape[axis + 1:]
     flat = p.reshape(math.prod(before), p.shape[axis], math.prod(after))
     result = np.zeros_like(flat)

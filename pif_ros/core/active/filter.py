@@ -13,11 +13,12 @@ from pif_ros.core.active.flow import flow, parting_rate
 from pif_ros.core.active.focus import fitted, focused
 from pif_ros.core.active.settings import RegionSettings
 from pif_ros.core.active.parting import MOST, moved_on_finer, parting
-from pif_ros.core.active.transport import Moves, SPREAD
+from pif_ros.core.active.transport import Moves, Noise, SPREAD
 from pif_ros.core.active.window import Window
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.controls import Controls, NANOSECONDS, NO_CONTROLS
 from pif_ros.core.grid import Grid
+from pif_ros.core.kernels.directions import integer_directions
 from pif_ros.core.likelihood import GridLikelihood
 from pif_ros.core.models import Sensor, StateModel
 
@@ -40,7 +41,8 @@ class ActiveGridFilter:
     grid: the world, and its widest cells, never all of them made; time_step:
     seconds of the longest step, which is shorter where neighbouring cells part; average_cells:
     whether a likelihood narrower than a cell is averaged over it; region: which cells are kept.
-    Raises ValueError for a model whose noise depends on the state or is correlated.
+    Raises ValueError for a model whose noise depends on the state, or is correlated among more
+    than three states.
     """
 
     model: StateModel
@@ -132,8 +134,8 @@ class ActiveGridFilter:
         """Return a belief after the time of a step, in as few as its noise and its drift allow."""
         rate = max((parting_rate(self.model, patch.window, from_ns, to_ns, controls)
                     for patch in belief.patches), default=0.0)
-        thin = all(np.all(self._variance(patch.window, from_ns, to_ns) <= SPREAD)
-                   for patch in belief.patches)
+        noise = self._noise(from_ns, to_ns)
+        thin = all(_is_thin(*noise(patch.window)) for patch in belief.patches)
         parted = (to_ns - from_ns) / NANOSECONDS * rate
         count = 1 if thin else max(1, int(np.ceil(parted / PARTED)))
         ends = [from_ns + (to_ns - from_ns) * k // count for k in range(count + 1)]
@@ -144,25 +146,26 @@ class ActiveGridFilter:
     def _stepped(self, belief: ActiveBelief, from_ns: int, to_ns: int, controls: Controls,
                  rate: float, thin: bool) -> ActiveBelief:
         """Return a belief after a step, or after two of half its length where it falls apart."""
-        moves = self._moves(from_ns, to_ns, controls, rate)
+        moves, noise = self._moves(from_ns, to_ns, controls, rate), self._noise(from_ns, to_ns)
         halvings = [parting(patch, moves) if thin else None for patch in belief.patches]
         middle_ns = (from_ns + to_ns) // 2
         if any(often is not None and often.max() > MOST for often in halvings) \
                 and from_ns < middle_ns:
             first = self._stepped(belief, from_ns, middle_ns, controls, rate, thin)
             return self._stepped(first, middle_ns, to_ns, controls, rate, thin)
-        patches = [moved_on_finer(patch, moves, self._variance(patch.window, from_ns, to_ns), often)
+        patches = [moved_on_finer(patch, moves, noise, often)
                    for patch, often in zip(belief.patches, halvings)]
         dropped = belief.dropped + max(belief.mass - sum(patch.mass for patch in patches), 0.0)
         inside = [_in_the_world(patch) for patch in patches]
         return fitted(ActiveBelief(belief.base, tuple(p for p in inside if p is not None),
                                    dropped), self.region)
 
-    def _variance(self, window: Window, from_ns: int, to_ns: int) -> Array:
-        """Return the variance of the noise in a step, eps g, in cells squared  [TM, Eq. 93]."""
-        g = self.model.diffusion((from_ns + to_ns) / 2 / NANOSECONDS)
-        cells: Array = (to_ns - from_ns) / NANOSECONDS * np.diag(g) / window.spacing**2
-        return cells
+    def _noise(self, from_ns: int, to_ns: int) -> Noise:
+        """Return what tells the variance of the noise in a step, eps g  [TM, Eq. 93]."""
+        variance = ((to_ns - from_ns) / NANOSECONDS
+                    * self.model.diffusion((from_ns + to_ns) / 2 / NANOSECONDS))
+        return lambda window: integer_directions(
+            variance / np.outer(window.spacing, window.spacing))
 
     def _moves(self, from_ns: int, to_ns: int, controls: Controls, rate: float) -> Moves:
         """Return what tells how far the drift moves the cells of a window in a step."""
@@ -224,9 +227,16 @@ def unsuited(model: StateModel) -> str:
         return ("expected 'full' where the noise depends on the state, got a vielbein that is a "
                 'function of it')
     g = model.diffusion(0.0)
-    if np.any(g - np.diag(np.diag(g))):
-        return f"expected 'full' where the noise of the states is correlated, got {g.tolist()}"
+    try:
+        integer_directions(g)
+    except ValueError as error:
+        return f"expected 'full' for this {error}"
     return ''
+
+
+def _is_thin(variance: Array, across: Sequence[tuple[float, tuple[int, ...]]]) -> bool:
+    """Return whether the noise of a step is less than what sharing a place spreads."""
+    return bool(np.all(variance <= SPREAD)) and all(strength <= SPREAD for strength, _ in across)
 
 
 def _around(grid: Grid, mean: Array, covariance: Array, region: RegionSettings) -> Window:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.active.belief import Patch
 from pif_ros.core.active.resolution import halved, paired
-from pif_ros.core.active.transport import moved, Moves
+from pif_ros.core.active.transport import moved, Moves, Noise
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -41,14 +41,14 @@ def parting(patch: Patch, moves: Moves) -> Integers:
     return np.array(often)
 
 
-def moved_on_finer(patch: Patch, moves: Moves, variance: Array, often: Integers | None) -> Patch:
+def moved_on_finer(patch: Patch, moves: Moves, noise: Noise, often: Integers | None) -> Patch:
     """Return a patch after a step that is made on halved cells, on cells as wide as before."""
     if often is None or not often.any():
-        return moved(patch, moves, variance)
+        return moved(patch, moves, noise)
     for axis, count in enumerate(often):
         for _ in range(count):
             patch = halved(patch, axis)
-    patch = moved(patch, moves, variance * 4.0**often)
+    patch = moved(patch, moves, noise)
     for axis, count in enumerate(often):
         for _ in range(count):
             patch = paired(patch, axis)

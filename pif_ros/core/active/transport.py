@@ -9,7 +9,7 @@ where the noise is at least a quarter of a cell squared, and nothing is ever neg
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ Integers = NDArray[np.int64]
 #: How far the drift moves what lies in each cell of a window, in cells, (n, ...), with one value
 #: along an axis on which it is the same everywhere.
 Moves = Callable[[Window], Array]
+#: What the noise is in the cells of a window: its variances along the axes (n,), and, where it is
+#: correlated, further ones along directions of whole cells; all in cells squared.
+Noise = Callable[[Window], tuple[Array, list[tuple[float, tuple[int, ...]]]]]
 
 #: The variance, in cells squared, that three nodes can give to any place between them alike.
 SPREAD = 0.25
@@ -38,17 +41,26 @@ NOTHING = 1e-14
 CHUNK = 1 << 15
 
 
-def moved(patch: Patch, moves: Moves, variance: Array) -> Patch:
-    """Return a patch after a step; variance: that of the noise in it, in cells squared, (n,)."""
+def moved(patch: Patch, moves: Moves, noise: Noise) -> Patch:
+    """Return a patch after a step."""
+    variance, across = noise(patch.window)
     spread = np.minimum(variance, SPREAD)
     # sharing comes after the flow, as the second half of the noise does, and is a part of it
     after = np.maximum(variance / 2, spread)
-    wide = _without_margins(heated(patch, variance - after))
-    return heated(deposited(wide, moves(wide.window), spread), after - spread)
+    half = [(strength / 2, direction) for strength, direction in across]
+    wide = _without_margins(heated(patch, variance - after, half))
+    return heated(deposited(wide, moves(wide.window), spread), after - spread, half)
 
 
-def heated(patch: Patch, variance: Array) -> Patch:
-    """Return a patch that the noise has widened by variances in cells squared, (n,)."""
+def heated(patch: Patch, variance: Array,
+           across: Sequence[tuple[float, tuple[int, ...]]] = ()) -> Patch:
+    """
+    Return a patch that the noise has widened by variances in cells squared, (n,).
+
+    across: further ones, each along a direction of whole cells.
+    """
+    for strength, direction in across:
+        patch = _heated_along(patch, noise_kernel(strength), np.array(direction))
     kernels = [noise_kernel(v) for v in variance]
     patch = _closed(patch, [len(kernel) // 2 for kernel in kernels])
     window, p = patch.window, patch.density
@@ -90,6 +102,19 @@ def _closed(patch: Patch, reach: list[int]) -> Patch:
             p = np.roll(p, offset[axis], axis)
             offset[axis] = 0
     return Patch(Window.of(window.base, window.level, offset, p.shape), p)
+
+
+def _heated_along(patch: Patch, kernel: Array, direction: Integers) -> Patch:
+    """Return a patch whose cells are shared along a direction."""
+    reach = len(kernel) // 2 * np.abs(direction)
+    patch = _closed(patch, reach.tolist())
+    window = patch.window
+    grown = np.where(window.circles, 0, reach)
+    p, axes = np.pad(patch.density, [(k, k) for k in grown]), tuple(range(len(direction)))
+    # but for circles nothing comes round, since there is room for it
+    shared = sum(w * np.roll(p, tuple((k - len(kernel) // 2) * direction), axes)
+                 for k, w in enumerate(kernel))
+    return _placed(window, -grown, np.asarray(shared))
 
 
 def noise_kernel(variance: float) -> Array:
