@@ -2,7 +2,7 @@
 """
 Do the jobs of this package on a machine with Python 3.10 or newer, with or without ROS 2 Jazzy.
 
-    python3 tasks.py demo        find a robot from ranges alone, on a real recording
+    python3 tasks.py demo        find a robot by radio, on a real recording; or: demo --odometry
     python3 tasks.py reproduce   run the papers' examples: --all --out DIR, or --list
     python3 tasks.py test        run the tests
     python3 tasks.py lint        run ament_flake8, ament_pep257 and mypy

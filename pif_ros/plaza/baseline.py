@@ -1,38 +1,48 @@
-"""The extended Kalman filter on the ranges of a recording, as late as they came."""
+"""Any tracker on a recording: ranges and odometry in the order in which they came."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
-from pif_ros.core.models import Sensor, StateModel
-from pif_ros.core.rivals import ExtendedKalmanFilter, GaussianBelief
+from numpy.typing import NDArray
 from pif_ros.core.tracker import Measurement, Tracker
 from pif_ros.plaza.recording import Recording
 from pif_ros.plaza.report import Track
 from pif_ros.plaza.schedule import Span, steps
 
+Array = NDArray[np.float64]
 
-def extended_kalman_track(recording: Recording, span: Span, model: StateModel,
-                          sensors: Mapping[int, Sensor], mean: ArrayLike, covariance: ArrayLike,
-                          history: float) -> Track:
-    """
-    Return one estimate per range that was on time.
 
-    sensors: one per beacon; mean (2,), covariance (2, 2): the prior at the first range; history:
-    seconds within which late ranges are still used, from the next estimate on.
+def played(recording: Recording, span: Span, tracker: Tracker[Any]) -> Iterator[int]:
     """
-    named = {str(beacon): sensor for beacon, sensor in sensors.items()}
-    prior = GaussianBelief(np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float))
-    tracker = Tracker(ExtendedKalmanFilter(model, named, time_step=1.0), prior, history)
-    stamps, beliefs = [], []
-    for i in (i for step in steps(recording, span) for i in step.ranges):
-        stamp = int(recording.range_stamps_ns[i])
-        tracker.observe(Measurement(
-            stamp, str(recording.beacon_ids[i]), (float(recording.ranges[i]),)))
-        if stamp == recording.arrivals_ns[i]:
-            stamps.append(stamp)
-            beliefs.append(tracker.estimate().belief)
-    return Track(np.array(stamps, dtype=np.int64), np.array([b.mean() for b in beliefs]),
-                 np.array([b.covariance() for b in beliefs]))
+    Yield the stamp of each range that is on time, once the tracker has been given it.
+
+    Before it the tracker has been given all else that has arrived until then: late ranges, and
+    odometry where its model takes any.  Its sources are called beacon_<id>.
+    """
+    for step in steps(recording, span, odometry=bool(tracker.filter.model.inputs)):
+        for i in step.odometry:
+            tracker.control(int(recording.odometry_stamps_ns[i]), recording.odometry[i])
+        for i in step.ranges:
+            stamp = int(recording.range_stamps_ns[i])
+            tracker.observe(Measurement(
+                stamp, f'beacon_{recording.beacon_ids[i]}', (float(recording.ranges[i]),)))
+            if stamp == recording.arrivals_ns[i]:
+                yield stamp
+
+
+def estimates(recording: Recording, span: Span, tracker: Tracker[Any]) -> Track:
+    """Return one estimate per range that was on time."""
+    rows = []
+    for stamp in played(recording, span, tracker):
+        belief = tracker.estimate().belief
+        rows.append((stamp, belief.mean(), belief.covariance()))
+    return track_of(rows)
+
+
+def track_of(rows: Sequence[tuple[int, Array, Array]]) -> Track:
+    """Return stamps, each with the mean and covariance of x, y and perhaps heading, as a track."""
+    stamps, means, covariances = zip(*rows)
+    return Track(np.array(stamps, dtype=np.int64), np.array(means), np.array(covariances))

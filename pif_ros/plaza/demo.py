@@ -1,4 +1,4 @@
-"""Finds a real robot from ranges alone: player, filter node, table and pictures in one command."""
+"""Finds a real robot by its radio ranges: player, filter node, table and pictures at once."""
 
 from __future__ import annotations
 
@@ -42,6 +42,8 @@ def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
                         help='1: real time; 0: as fast as the filter keeps up (default)')
     parser.add_argument('--start', type=float, default=0.0, help='seconds into the recording')
     parser.add_argument('--duration', type=float, default=0.0, help='seconds; 0: to the end')
+    parser.add_argument('--odometry', action='store_true',
+                        help='use it too: position and heading from ranges and odometry')
     return parser.parse_args(args)
 
 

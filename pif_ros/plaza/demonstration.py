@@ -21,6 +21,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 _FILTER = '/filter_node'
+_SETTLE = 0.5
+#: By whether there is odometry.
+_PARAMETERS = {False: 'plaza_range_only', True: 'plaza_unicycle'}
 
 
 def demonstrate(wanted: Namespace, stopped: Callable[[], bool]) -> None:
@@ -33,10 +36,13 @@ def demonstrate(wanted: Namespace, stopped: Callable[[], bool]) -> None:
     recording = load(wanted.recording, wanted.path)
     settings = Settings.from_values({
         'speed': wanted.speed, 'start': wanted.start, 'duration': wanted.duration,
-        'follow': f'{_FILTER}/pose', 'odometry': False})
+        'follow': f'{_FILTER}/pose', 'odometry': wanted.odometry})
     settings.span.limits_ns(recording)
+    if wanted.odometry and not len(recording.odometry):
+        raise ValueError(f'{recording.name}: expected a table DR, the odometry')
     wanted.out.mkdir(parents=True, exist_ok=True)
-    params_file, log = parameters_for(recording, wanted.out), wanted.out / 'filter_node.log'
+    params_file, log = parameters_for(
+        recording, wanted.out, _PARAMETERS[wanted.odometry]), wanted.out / 'filter_node.log'
     began = time.monotonic()
     node = FilterProcess(params_file, log)
     try:
@@ -60,8 +66,10 @@ def _play(recording: Recording, settings: Settings, node: FilterProcess,
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()
     try:
-        windows = [(w.first_ns, w.last_ns) for w in telling_moments(recording, settings.span)]
-        player, recorder = Player(recording, settings), Recorder(_FILTER, windows)
+        windows = [(w.first_ns, w.last_ns)
+                   for w in telling_moments(recording, settings.span, settings.odometry)]
+        player = Player(recording, settings)
+        recorder = Recorder(_FILTER, windows, settings.odometry)
         executor.add_node(player)
         executor.add_node(recorder)
 
@@ -71,6 +79,8 @@ def _play(recording: Recording, settings: Settings, node: FilterProcess,
 
         player.play(spin, stopped)
         _await_last_pose(recording, settings, recorder, spin, stopped)
+        if settings.odometry:
+            _settle(spin)
         node.end()
         return Run(recording, player.sent, accounts(node.output()), recorder.track(),
                    recorder.densities())
@@ -92,6 +102,13 @@ def _await_last_pose(recording: Recording, settings: Settings, recorder: Recorde
         if time.monotonic() > deadline:
             raise TimeoutError(f'no pose for the last range within {settings.timeout:g} s')
         spin(0.1)
+
+
+def _settle(spin: Spin) -> None:
+    """Let the filter take the odometry after the last range, to which there is no answer."""
+    until = time.monotonic() + _SETTLE
+    while time.monotonic() < until:
+        spin(0.05)
 
 
 def _say(text: str) -> None:

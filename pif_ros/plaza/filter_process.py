@@ -10,6 +10,7 @@ import sys
 
 COMMAND = (sys.executable, '-m', 'pif_ros.node')
 _PATIENCE = 10.0
+_ACCOUNT = re.compile(r'(\w+): (\d+ received[^;\n]*)')
 
 
 class FilterFailed(RuntimeError):
@@ -55,7 +56,15 @@ class FilterProcess:
             self._process.wait()
 
 
-def accounts(output: str) -> dict[str, int]:
-    """Return what became of the measurements, as the node's last words tell it, all sources."""
-    told = re.findall(r'(\d+) (received|accepted|rejected|dropped)', output)
-    return {what: sum(int(n) for n, word in told if word == what) for _, what in told}
+def accounts(output: str) -> dict[str, dict[str, int]]:
+    """
+    Return what became of 'ranges' and 'controls', as the node's last words tell it.
+
+    The ranges of all beacons are counted together; what was not received at all is not named.
+    """
+    result: dict[str, dict[str, int]] = {}
+    for source, account in _ACCOUNT.findall(output.rpartition('stopped; ')[2]):
+        total = result.setdefault('controls' if source == 'control' else 'ranges', {})
+        for count, what in re.findall(r'(\d+) (received|accepted|rejected|dropped)', account):
+            total[what] = total.get(what, 0) + int(count)
+    return result

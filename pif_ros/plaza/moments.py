@@ -10,6 +10,8 @@ from pif_ros.plaza.recording import Recording
 from pif_ros.plaza.schedule import Span
 
 _SILENCE = 30.0
+#: What is worth seeing after so many metres.
+_DRIVEN = {1.0: 'Driving off: which way?', 10.0: 'Heading found'}
 
 
 @dataclass(frozen=True)
@@ -18,7 +20,8 @@ class Wanted:
     A moment that is worth a picture.
 
     first_ns, last_ns: the stamps between which it may be taken; newest: whether the last one
-    published in between is the best, else the first; heard: the beacons of the latest ranges.
+    published in between is the best, else the first; heard: the beacons of the latest ranges, at
+    last_ns.
     """
 
     title: str
@@ -33,14 +36,24 @@ class Wanted:
         return within[-1 if self.newest else 0] if within else None
 
 
-def telling_moments(recording: Recording, span: Span = Span()) -> list[Wanted]:
-    """Return up to six: the first three beacons, the way, the longest silence if it is long."""
+def telling_moments(recording: Recording, span: Span = Span(),
+                    odometry: bool = False) -> list[Wanted]:
+    """
+    Return up to six: the first three beacons, the way, the longest silence if it is long.
+
+    With odometry the way is where it begins to drive, and where the heading has become known.
+    """
     first, last = span.limits_ns(recording)
     arrivals = recording.arrivals_ns
     on_time = np.flatnonzero(
         (recording.range_stamps_ns == arrivals) & (arrivals >= first) & (arrivals <= last))
     stamps, ids = recording.range_stamps_ns[on_time], recording.beacon_ids[on_time]
-    return [*_beginning(stamps.tolist(), ids.tolist()), *_way(stamps, ids), *_silence(stamps, ids)]
+    beginning = _beginning(stamps.tolist(), ids.tolist())
+    if odometry:
+        driven = [w for metres, title in _DRIVEN.items()
+                  for w in _after(recording, stamps, ids, metres, title)]
+        return [*beginning, *driven, *_silence(stamps, ids)[:1]]
+    return [*beginning, *_way(stamps, ids), *_silence(stamps, ids)]
 
 
 def _beginning(stamps: list[int], ids: list[int]) -> list[Wanted]:
@@ -52,6 +65,18 @@ def _beginning(stamps: list[int], ids: list[int]) -> list[Wanted]:
             heard.append(beacon)
             wanted.append(Wanted(titles.pop(0), stamp, stamp, tuple(heard)))
     return wanted
+
+
+def _after(recording: Recording, stamps: np.ndarray, ids: np.ndarray, metres: float,
+           title: str) -> list[Wanted]:
+    """Return when the odometry has counted so many metres since the first range."""
+    starts, ends = recording.odometry_stamps_ns, recording.odometry_ends_ns
+    driven = np.cumsum((starts >= stamps[0]) * recording.odometry[:, 0] * (ends - starts) * 1e-9)
+    begin = ends[np.searchsorted(driven, metres):][:1]
+    if not len(begin) or begin[0] > stamps[-1]:
+        return []
+    i = int(np.searchsorted(stamps, begin[0]))
+    return [Wanted(title, int(begin[0]), int(stamps[i]), (int(ids[i]),))]
 
 
 def _way(stamps: np.ndarray, ids: np.ndarray) -> list[Wanted]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import fields
 import math
@@ -27,6 +28,11 @@ Spin = Callable[[float], None]
 _BURST = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
 _LEAD_IN = 0.5
 _PATIENCE = 2.0
+# Seconds in which a filter that has nothing else to do takes some controls.
+_TAKING = 0.01
+# A filter may skip a forecast when it has just been at work for long; so it has more than one
+# chance to show that it makes any.
+_CHANCES = 2
 
 
 class Player(Node):
@@ -49,7 +55,7 @@ class Player(Node):
         self.settings = settings or self._declared()
         self.recording = recording or load(self.settings.recording, self.settings.path)
         self.settings.span.limits_ns(self.recording)
-        self.sent = 0
+        self.sent = Counter(ranges=0)
         self._ticks = self.create_publisher(Clock, '/clock', 10)
         self._truth = self.create_publisher(PoseStamped, 'truth', _BURST)
         self._control = self.create_publisher(TwistStamped, 'control', _BURST)
@@ -58,7 +64,8 @@ class Player(Node):
             for b in self.recording.beacons}
         self._longest = math.ceil(float(self.recording.ranges.max()))
         self._pose_ns = -1
-        self._foresees = True
+        self._chances: float = _CHANCES
+        self._taken = 0
         self._follow = self.create_subscription(
             PoseWithCovarianceStamped, self.settings.follow, self._on_pose, 100,
         ) if self.settings.speed == 0.0 else None
@@ -79,6 +86,7 @@ class Player(Node):
             self._await_its_time(begin, step.stamp_ns - schedule[0].stamp_ns, spin, stopped)
             if stopped():
                 break
+            self._await_controls(step, spin)
             self._send(step)
             if step.ranges:
                 self._await_pose(step, spin, stopped)
@@ -145,18 +153,29 @@ class Player(Node):
         Send one step; the clock stops a nanosecond short of an arrival.
 
         Thereby no forecast of the follower can bear the stamp of a range, and a pose with that
-        stamp has seen it.
+        stamp has seen it.  The clock of a follower waits for what is answered.
         """
         short = 1 if step.ranges else 0
-        self._ticks.publish(Clock(clock=_time(step.stamp_ns - short)))
+        if self._follow is None or _is_answered(step) or not step.odometry:
+            self._ticks.publish(Clock(clock=_time(step.stamp_ns - short)))
         for i in step.truths:
             self._truth.publish(self._pose(i))
         for i in step.odometry:
             self._control.publish(self._twist(i))
+            self.sent['controls'] += 1
         for i in step.ranges:
             publisher: Publisher = self._beacons[int(self.recording.beacon_ids[i])]
             publisher.publish(self._range(i))
-            self.sent += 1
+            self.sent['ranges'] += 1
+
+    def _await_controls(self, step: Step, spin: Spin) -> None:
+        """Let the follower take the controls before what it answers; to them it says nothing."""
+        if self._follow is None or not _is_answered(step):
+            return
+        until = time.monotonic() + (_TAKING if self.sent['controls'] > self._taken else 0.0)
+        while (left := until - time.monotonic()) > 0.0:
+            spin(left)
+        self._taken = self.sent['controls']
 
     def _await_pose(self, step: Step, spin: Spin, stopped: Callable[[], bool]) -> None:
         """Wait until the follower has seen the ranges of a step."""
@@ -172,16 +191,18 @@ class Player(Node):
             spin(0.1)
 
     def _await_forecast(self, step: Step, spin: Spin, stopped: Callable[[], bool]) -> None:
-        """Let a follower that has begun foresee a quiet step; never again if it does not."""
-        if self._follow is None or self._pose_ns < 0 or not self._foresees:
+        """Let a follower that has begun foresee a quiet step, unless it seems to foresee none."""
+        if self._follow is None or self._pose_ns < 0 or self._chances == 0:
             return
         deadline = time.monotonic() + _PATIENCE
         while self._pose_ns < step.stamp_ns and not stopped():
             if time.monotonic() > deadline:
-                self.get_logger().info('no forecasts from the follower: not waiting for them')
-                self._foresees = False
+                self._chances -= 1
+                if self._chances == 0:
+                    self.get_logger().info('no forecasts from the follower: not waiting for them')
                 return
             spin(0.1)
+        self._chances = math.inf
 
     def _range(self, i: int) -> Range:
         beacon = int(self.recording.beacon_ids[i])
@@ -211,6 +232,11 @@ class Player(Node):
         msg.pose.orientation.z = math.sin(heading / 2.0)
         msg.pose.orientation.w = math.cos(heading / 2.0)
         return msg
+
+
+def _is_answered(step: Step) -> bool:
+    """Return whether a filter publishes a pose for a step."""
+    return bool(step.ranges) or step.quiet
 
 
 def _time(stamp_ns: int) -> Time:

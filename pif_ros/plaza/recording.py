@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 NAMES = ('Plaza1', 'Plaza2')
 _COLUMNS = {'GT': 4, 'TD': 4, 'TL': 3, 'DR': 3}
 _OPTIONAL = ('DR',)
+#: Metres from one pose to the next that tell in which direction it drives.
+_FAR = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +26,8 @@ class Recording:
     """
     A drive among beacons; the ranges stand in the order in which they were received.
 
-    truth_stamps_ns: (t,) increasing; truth: (t, 3), x and y in metres, heading in radians;
+    truth_stamps_ns: (t,) increasing; truth: (t, 3), x and y in metres, and the heading in which
+    it drives, in radians;
     range_stamps_ns: (k,) when each range was taken; beacon_ids: (k,); ranges: (k,) in metres, as
     read by the radios; beacons: where each beacon stands, in metres; odometry: (j, 2), speed in
     m/s and rate of turn in rad/s from odometry_stamps_ns (j,) to odometry_ends_ns (j,), where the
@@ -140,13 +143,23 @@ def _assemble(name: str, GT: Array, TD: Array, TL: Array,
     ends = _nanoseconds(DR[:, 0])
     return Recording(
         name=name,
-        truth_stamps_ns=_nanoseconds(GT[:, 0]), truth=GT[:, 1:],
+        truth_stamps_ns=_nanoseconds(GT[:, 0]), truth=_forwards(GT[:, 1:]),
         range_stamps_ns=_nanoseconds(TD[:, 0]),
         beacon_ids=TD[:, 2].astype(np.int64), ranges=TD[:, 3],
         beacons=MappingProxyType(
             {int(b): (float(x), float(y)) for b, x, y in sorted(TL.tolist())}),
         odometry_stamps_ns=ends[:-1], odometry_ends_ns=ends[1:],
         odometry=_rates(DR[1:, 1:], np.diff(ends)))
+
+
+def _forwards(poses: Array) -> Array:
+    """Return poses with headings in which it drives: one of the files has them point backwards."""
+    moved, heading = np.diff(poses[:, :2], axis=0), poses[:-1, 2]
+    far = np.hypot(*moved.T) > _FAR
+    off = np.angle(np.sum(np.exp(1j * (np.arctan2(moved[:, 1], moved[:, 0]) - heading)[far])))
+    if abs(off) < np.pi / 2:
+        return poses
+    return np.column_stack([poses[:, :2], (poses[:, 2] + 2 * np.pi) % (2 * np.pi) - np.pi])
 
 
 def _rates(moved: Array, nanoseconds: NDArray[np.int64]) -> Array:

@@ -16,10 +16,11 @@ class Follower(Node):
     """
     Notes everything that is played, in the order of its coming.
 
-    respond: how many of the ranges are answered by a pose, 'all' of them where None.
+    respond: how many of the ranges are answered by a pose, 'all' of them where None; foresee: one
+    of how many seconds of silence, from the second on, is answered by a forecast, none where 0.
     """
 
-    def __init__(self, respond: int | None = None) -> None:
+    def __init__(self, respond: int | None = None, foresee: int = 0) -> None:
         """Subscribe to the topics of the four beacons, the truth and the clock."""
         super().__init__('filter_node')
         self.ranges: list[tuple[int, str, float]] = []
@@ -27,6 +28,7 @@ class Follower(Node):
         self.clocks: list[int] = []
         self.controls: list[tuple[int, float, float, int]] = []
         self._respond, self._newest = respond, -1
+        self._foresee, self._seconds = foresee, 0
         self.poses = self.create_publisher(PoseWithCovarianceStamped, '~/pose', 10)
         for beacon in (0, 1, 5, 6):
             self.create_subscription(Range, f'beacon_{beacon}/range', self._on_range, SENSORS)
@@ -38,9 +40,7 @@ class Follower(Node):
         self.ranges.append((nanoseconds(msg.header.stamp), msg.header.frame_id, msg.range))
         self._newest = max(self._newest, self.ranges[-1][0])
         if self._respond is None or len(self.ranges) <= self._respond:
-            pose = PoseWithCovarianceStamped()
-            pose.header.stamp.sec, pose.header.stamp.nanosec = divmod(self._newest, 10**9)
-            self.poses.publish(pose)
+            self._publish(self._newest)
 
     def _on_control(self, msg: TwistStamped) -> None:
         self.controls.append((nanoseconds(msg.header.stamp), msg.twist.linear.x,
@@ -52,6 +52,15 @@ class Follower(Node):
 
     def _on_clock(self, msg: Clock) -> None:
         self.clocks.append(nanoseconds(msg.clock))
+        if self._foresee and 0 <= self._newest < self.clocks[-1] - 10**9 // 2:
+            if self._seconds % self._foresee == 1 % self._foresee and self._seconds:
+                self._publish(self.clocks[-1])
+            self._seconds += 1
+
+    def _publish(self, stamp_ns: int) -> None:
+        pose = PoseWithCovarianceStamped()
+        pose.header.stamp.sec, pose.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+        self.poses.publish(pose)
 
 
 def nanoseconds(stamp: object) -> int:

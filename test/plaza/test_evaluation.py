@@ -23,7 +23,7 @@ def run(small: Recording) -> Run:
     silent = small.start_ns + np.arange(41, 80) * 10**9
     stamps = np.unique(np.concatenate([heard, heard - 1, silent]))
     density = Density(np.ones((2, 3)), np.arange(2.0), np.arange(3.0))
-    return Run(small, len(heard), {}, track(stamps), [(int(heard[0]), density)])
+    return Run(small, {'ranges': len(heard)}, {}, track(stamps), [(int(heard[0]), density)])
 
 
 def test_only_poses_that_have_seen_the_range_of_their_stamp_are_corrections(run: Run) -> None:
@@ -45,6 +45,8 @@ def test_tracks_are_compared_at_the_stamps_that_they_have_in_common(small: Recor
 
 def test_a_moment_is_shown_with_the_pose_of_its_density(run: Run) -> None:
     stamp = run.densities[0][0]
-    shown = moments(run, [Wanted('here', stamp, stamp, (5,)), Wanted('nowhere', 1, 2)])
-    assert [(m.title, m.stamp_ns, m.heard) for m in shown] == [('here', stamp, (5,))]
+    shown = moments(run, [Wanted('here', stamp, stamp, (5,)), Wanted('nowhere', 1, 2),
+                          Wanted('before', stamp - 1, stamp + 1, (6,))])
+    assert [(m.title, m.stamp_ns, m.heard) for m in shown] == [
+        ('here', stamp, (5,)), ('before', stamp, ())]
     assert_array_equal(shown[0].covariance, np.eye(2))

@@ -1,5 +1,6 @@
 """The telling moments of a recording."""
 
+import numpy as np
 from pif_ros.plaza.moments import telling_moments, Wanted
 from pif_ros.plaza.recording import Recording
 from pif_ros.plaza.schedule import Span
@@ -29,6 +30,24 @@ def test_the_last_two_are_before_and_after_the_longest_silence(small: Recording)
 
 def test_without_a_silence_there_are_four(small: Recording) -> None:
     assert len(telling_moments(small, Span(duration=30.0))) == 4
+
+
+def test_with_odometry_two_are_when_it_has_driven_so_far(small: Recording) -> None:
+    """Oracle: 12 m in radius, once in two minutes: 0.628 m/s from the start, ranges at 4 Hz."""
+    found = telling_moments(small, Span(duration=30.0), odometry=True)
+    assert [len(w.heard) for w in found] == [1, 2, 3, 1, 1]
+    first = small.seconds(small.range_stamps_ns[0])
+    for wanted, metres in zip(found[3:], (1.0, 10.0)):
+        reached = first + metres / (2.0 * np.pi * 12.0 / 120.0)
+        # a sample of the odometry lasts 0.2 s, and the one during the first range does not count
+        assert 0.0 <= small.seconds(wanted.first_ns) - reached <= 0.4 + 1e-6
+        assert 0.0 <= small.seconds(wanted.last_ns) - small.seconds(wanted.first_ns) <= 0.25
+
+
+def test_what_is_not_reached_is_no_moment(small: Recording) -> None:
+    span = Span(duration=10.0)  # 6 m
+    assert len(telling_moments(small, span, odometry=True)) == 4
+    assert telling_moments(small, odometry=True)[-1].title == 'In a silence of 40 s'
 
 
 def test_the_first_or_the_newest_within_is_chosen() -> None:

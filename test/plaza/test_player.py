@@ -10,6 +10,7 @@ import time
 from follower import Follower, until
 import numpy as np
 from numpy.testing import assert_allclose
+from pif_ros.plaza import player_node
 from pif_ros.plaza.player_node import Player, Spin
 from pif_ros.plaza.recording import Recording
 from pif_ros.plaza.settings import Settings
@@ -27,7 +28,7 @@ def play(spinner: Spinner, recording: Recording, follower: Follower,
     player = Player(recording, Settings(**{**FAST, **settings}))
     spin = spinner(player, follower)
     player.play(spin)
-    until(spin, lambda: len(follower.ranges) >= player.sent)
+    until(spin, lambda: len(follower.ranges) >= player.sent['ranges'])
 
 
 def test_every_range_is_heard_once_with_its_own_stamp_beacon_and_value(
@@ -64,7 +65,7 @@ def test_no_range_is_sent_before_the_one_before_it_is_answered(
     player = Player(small, Settings(**{**FAST, 'timeout': 0.7}))
     with pytest.raises(TimeoutError, match='no pose on /filter_node/pose .* at 3.500 s'):
         player.play(spinner(player, follower))
-    assert len(follower.ranges) == player.sent == 13
+    assert len(follower.ranges) == player.sent['ranges'] == 13
 
 
 def test_the_clock_never_runs_back_and_stops_just_short_of_an_arrival(
@@ -105,10 +106,42 @@ def test_odometry_comes_at_the_end_of_the_interval_whose_start_it_bears(
     assert heard[-1] > 30
 
 
+def test_the_clock_of_a_follower_waits_for_what_it_answers(
+        spinner: Spinner, small: Recording) -> None:
+    """Between ranges at 4 Hz comes odometry at 5 Hz, which does not move the clock."""
+    follower = Follower()
+    play(spinner, small, follower, duration=10.0)
+    assert len(follower.controls) > 40
+    stamps = {stamp for stamp, _, _ in follower.ranges}
+    moved = {clock for clock in follower.clocks if clock > min(stamps)}
+    assert moved <= {stamp - 1 for stamp in stamps} | {small.start_ns + 10 * 10**9}
+
+
 def test_odometry_may_be_left_out(spinner: Spinner, small: Recording) -> None:
     follower = Follower()
     play(spinner, small, follower, duration=5.0, odometry=False)
     assert not follower.controls and follower.ranges
+
+
+@pytest.mark.parametrize(('foresee', 'heard'), [(1, 9), (3, 4), (0, 1)])
+def test_a_follower_that_foresees_something_is_always_waited_for(
+        spinner: Spinner, small: Recording, monkeypatch: pytest.MonkeyPatch,
+        foresee: int, heard: int) -> None:
+    """
+    Ten seconds of a silence; the follower foresees one of so many, but never the first.
+
+    heard: of how many stamps it has been heard when the player comes to each of these seconds.
+    """
+    monkeypatch.setattr(player_node, '_PATIENCE', 0.1)
+    follower = Follower(foresee=foresee)
+    player = Player(small, Settings(**{
+        **FAST, 'start': 38.0, 'duration': 12.0, 'odometry': False}))
+    waited: list[int] = []
+    await_forecast = player._await_forecast
+    monkeypatch.setattr(player, '_await_forecast', lambda step, *rest: (
+        waited.append(player._pose_ns), await_forecast(step, *rest)))
+    player.play(spinner(player, follower))
+    assert (len(waited), len(set(waited))) == (10, heard)
 
 
 def test_ten_seconds_at_tenfold_speed_take_one_second(
@@ -120,7 +153,7 @@ def test_ten_seconds_at_tenfold_speed_take_one_second(
     began = time.monotonic()
     player.play(spin)
     assert 0.9 < time.monotonic() - began - 0.5 < 2.5  # the half second is the clock's lead
-    until(spin, lambda: len(follower.ranges) == player.sent == 39)
+    until(spin, lambda: len(follower.ranges) == player.sent['ranges'] == 39)
 
 
 def test_says_who_is_missing_where_nobody_listens(
@@ -135,7 +168,7 @@ def test_stops_at_once_when_told_to(
     follower = Follower()
     player = Player(small, Settings(**FAST))
     player.play(spinner(player, follower), stopped=lambda: len(follower.ranges) >= 5)
-    assert player.sent <= 6
+    assert player.sent['ranges'] <= 6
 
 
 def player_process(*arguments: str) -> subprocess.Popen:

@@ -48,6 +48,30 @@ def test_odometry_tells_how_far_the_truth_went_and_turned_in_its_very_interval(n
     assert 0 <= plaza.odometry[:, 0].min() and plaza.odometry[:, 0].max() < 5.0
 
 
+def test_headings_that_point_backwards_are_turned_round(tmp_path: Path, small: Recording) -> None:
+    """Oracle: the same drive, whose file has them right."""
+    truth = synthetic.tables()['GT']
+    truth[:, 3] += np.pi
+    found = load(path=synthetic.write(tmp_path / 'backwards.mat', GT=truth))
+    assert_allclose(np.exp(1j * found.truth[:, 2]), np.exp(1j * small.truth[:, 2]), atol=1e-12)
+    assert np.abs(found.truth[:, 2]).max() <= np.pi
+
+
+@pytest.mark.parametrize('name', ['Plaza1', 'Plaza2'])
+def test_the_truth_looks_where_it_drives(name: str) -> None:
+    """Oracle: the direction from one pose to one that is a metre away."""
+    try:
+        plaza = load(name)
+    except FileNotFoundError:
+        pytest.skip('needs the data that come with gtsam')
+    begins, ends = plaza.truth[:-10], plaza.truth[10:]
+    moved = ends[:, :2] - begins[:, :2]
+    straight = (np.hypot(*moved.T) > 1.0) & (np.abs(ends[:, 2] - begins[:, 2]) < 0.1)
+    off = np.arctan2(moved[:, 1], moved[:, 0]) - begins[:, 2]
+    assert straight.sum() > 500
+    assert np.abs(np.angle(np.exp(1j * off[straight]))).mean() < np.radians(5.0)
+
+
 def test_a_recording_may_be_without_odometry(tmp_path: Path) -> None:
     found = load(path=synthetic.write(tmp_path / 'without.mat', DR=None))
     assert found.odometry.shape == (0, 2) and len(found.odometry_stamps_ns) == 0
