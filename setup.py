@@ -26,6 +26,7 @@ setup(
         # of another distribution of ROS.
         'ros': [
             'ros-jazzy-rclpy[fastrtps]',
+            'ros-jazzy-diagnostic-msgs',
             'ros-jazzy-geometry-msgs',
             'ros-jazzy-nav-msgs',
             'ros-jazzy-rosgraph-msgs',
@@ -61,6 +62,7 @@ setup(
         # Systems of your own go into the group pif_ros.systems of your own package.
         'console_scripts': [
             'filter_node = pif_ros.node:main',
+            'filter_bank = pif_ros.bank:main',
             'simulate = pif_ros.simulate:main',
             'plaza_player = pif_ros.plaza.player:main',
             'plaza_demo = pif_ros.plaza.demo:main',

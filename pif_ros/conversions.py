@@ -12,12 +12,14 @@ import re
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose, PoseWithCovariance, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import NANOSECONDS
+from pif_ros.diagnostics import Status
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 Array = NDArray[np.float64]
@@ -176,6 +178,19 @@ def angles(pose: Pose) -> tuple[float, float, float]:
     return (math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
             math.asin(min(1.0, max(-1.0, 2 * (w * y - z * x)))),
             math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def diagnostics_message(statuses: Sequence[Status], stamp_ns: int, node: str) -> DiagnosticArray:
+    """Return what a node of this name has to say of itself."""
+    msg = DiagnosticArray()
+    msg.header.stamp = stamp_from_ns(stamp_ns)
+    msg.status = [
+        DiagnosticStatus(level=bytes([status.level]), name=f'{node}: {status.name}',
+                         message=status.message, hardware_id=node,
+                         values=[KeyValue(key=key, value=value)
+                                 for key, value in status.values.items()])
+        for status in statuses]
+    return msg
 
 
 def stamped(pose: PoseWithCovariance, stamp_ns: int, frame: str) -> PoseWithCovarianceStamped:

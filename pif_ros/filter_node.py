@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import functools
+import math
 import time
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from pif_ros import conversions, interface, parameters
+from pif_ros import conversions, diagnostics, interface, parameters
 from pif_ros.accounts import Accounts, Throttle
 from pif_ros.config import build_tracker, ConfigError, describe, find_grid, find_system
+from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.filters import NANOSECONDS
-from pif_ros.core.tracker import Estimate
+from pif_ros.core.tracker import Estimate, Tracker
 from pif_ros.inbox import Inbox
 from pif_ros.outputs import Outputs
 from pif_ros.process import guarded
@@ -28,6 +30,9 @@ from std_srvs.srv import Empty, Trigger
 #: Predicting the pose to now has one in so many parts of the time at most, the rest is for
 #: measurements.
 FORECASTS_TAKE = 4
+#: Work that takes less than this, in seconds, is done where a message arrives: to wait for its
+#: turn would take as long.
+AT_ONCE = 1e-3
 
 
 class FilterNode(Node):
@@ -42,15 +47,17 @@ class FilterNode(Node):
             super().__init__('filter_node', **kwargs)
         except (InvalidParameterTypeException, ParameterUninitializedException):
             raise ConfigError(parameters.mistyped(self)) from None
-        self.told = bool(parameters.told(self))
-        self.config = parameters.declare(self)
-        self.tracker = build_tracker(self.config)
+        given = self._given()
+        self.told = bool(given)
+        self.config = parameters.declare(self, given)
+        self.tracker = self._make_tracker()
         self.accounts = Accounts(self.config.measurements.names, self.tracker.filter.model.inputs)
         self.inbox = Inbox(self.tracker, self.accounts, self.config, self.report)
         self.faults = 0
         self._throttle = Throttle()
         self._published_ns = -1
         self._next_forecast = 0.0
+        self._took = math.inf
         self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
         self._live: dict[str, Any] = {'pose.estimator': self.config.pose.estimator,
                                       'density.rate': self.config.density.rate}
@@ -81,8 +88,12 @@ class FilterNode(Node):
         except Exception:
             inlet.account.rejected['fault'] += 1
             raise
+        alone = not self.inbox.has_work
         self.inbox.put(inlet, item)
-        self._wake.trigger()
+        if alone and self._took < AT_ONCE:
+            self._work()
+        else:
+            self._wake.trigger()
 
     @guarded
     def _on_initial_pose(self, msg: PoseWithCovarianceStamped) -> None:
@@ -142,6 +153,7 @@ class FilterNode(Node):
 
     @guarded
     def _work(self) -> None:
+        began = time.monotonic()
         try:
             estimate = self.inbox.work()
         finally:
@@ -149,23 +161,36 @@ class FilterNode(Node):
                 self._wake.trigger()
         if estimate is not None:
             self._publish(estimate)
+        self._took = time.monotonic() - began
 
     @guarded
     def _on_timer(self) -> None:
-        now_ns, newest_ns = self._now(), self.tracker.stamp_ns
-        if now_ns is None or newest_ns is None or self.tracker.backlog:
-            return
-        if now_ns > newest_ns + self.config.time.max_forecast * NANOSECONDS:
-            age = (now_ns - newest_ns) / NANOSECONDS
-            self.report('stale', f'the newest measurement is {age:.0f} s old, more than '
-                        'time.max_forecast: no pose until the next one')
-            return
-        if now_ns > self._published_ns and time.monotonic() >= self._next_forecast:
+        now_ns = self._now()
+        if now_ns is not None and self.is_due(now_ns) and time.monotonic() >= self._next_forecast:
             began = time.monotonic()
             self._publish(self.tracker.forecast(now_ns))
             took = FORECASTS_TAKE * (time.monotonic() - began)
             if took * self.config.publish.rate > 1:
                 self._next_forecast = began + took
+
+    @guarded
+    def _on_diagnostics(self) -> None:
+        now_ns = self.get_clock().now().nanoseconds
+        self._diagnostics.publish(conversions.diagnostics_message(
+            diagnostics.statuses(self.tracker, self.accounts), now_ns,
+            self.get_fully_qualified_name()))
+
+    def is_due(self, now_ns: int) -> bool:
+        """Return whether a pose is to be predicted to now."""
+        newest_ns = self.tracker.stamp_ns
+        if newest_ns is None or self.tracker.backlog:
+            return False
+        if now_ns > newest_ns + self.config.time.max_forecast * NANOSECONDS:
+            age = (now_ns - newest_ns) / NANOSECONDS
+            self.report('stale', f'the newest measurement is {age:.0f} s old, more than '
+                        'time.max_forecast: no pose until the next one')
+            return False
+        return now_ns > self._published_ns
 
     def drain(self) -> None:
         """Account for what still waits."""
@@ -208,6 +233,12 @@ class FilterNode(Node):
 
     # How it is set up
 
+    def _given(self) -> dict[str, Any]:
+        return parameters.told(self)
+
+    def _make_tracker(self) -> Tracker[Any]:
+        return build_tracker(self.config)
+
     def _warm_up(self) -> None:
         """Do before the first measurement what need not be done at it."""
         began = time.perf_counter()
@@ -220,6 +251,9 @@ class FilterNode(Node):
     def _speed(self) -> list[str]:
         """Return a sentence where prediction is slower than time."""
         filter_ = self.tracker.filter
+        if isinstance(filter_, ActiveGridFilter):
+            # its cost is that of a belief that is not known yet
+            return []
         step = filter_.time_step_ns / NANOSECONDS
         needed = []
         for k in range(3):
@@ -249,15 +283,26 @@ class FilterNode(Node):
                                   (interface.GLOBAL, self._on_global)):
             self.create_service(service.type, service.name, callback)
         self.add_on_set_parameters_callback(self._on_parameters)
-        self._wake = self.create_guard_condition(self._work)
+        told = interface.DIAGNOSTICS
+        self._diagnostics = self.create_publisher(told.type, told.name, told.qos)
+        self.create_timer(1.0, self._on_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._jump = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1)),
             post_callback=self._on_jump)
-        if config.publish.rate:
-            # a timer on the system's clock stands still when that clock is set back
-            simulated = self.get_parameter('use_sim_time').value
-            clock = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
-            self.create_timer(1 / config.publish.rate, self._on_timer, clock=clock)
+        self._start()
+
+    def _start(self) -> None:
+        """Let the work be done when there is some."""
+        self._wake = self.create_guard_condition(self._work)
+        if self.config.publish.rate:
+            self.create_timer(1 / self.config.publish.rate, self._on_timer,
+                              clock=self.forecast_clock())
+
+    def forecast_clock(self) -> Clock:
+        """Return the clock by which poses are predicted to now."""
+        # a timer on the system's clock stands still when that clock is set back
+        simulated = self.get_parameter('use_sim_time').value
+        return self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
 
     def _listen(self, inlet: Inlet, known: dict[str, Any]) -> None:
         """Subscribe to an inlet, given the types of the topics that are known so far."""

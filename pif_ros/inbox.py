@@ -31,13 +31,15 @@ class Inbox:
     """
     A bounded queue of measurements and controls before a tracker; each is accounted for.
 
-    report: called with a kind and a line where something is worth a warning.
+    report: called with a kind and a line where something is worth a warning; slice: corrections
+    made by one work().
     """
 
     def __init__(self, tracker: Tracker[Any], accounts: Accounts, config: Config,
                  report: Callable[[str, str], None]) -> None:
         self.queue: deque[tuple[Inlet, Measurement | Control]] = deque()
         self.behind_since: float | None = None
+        self.slice = SLICE
         self._tracker, self._accounts, self._report = tracker, accounts, report
         self._longest = config.measurements.queue_length
         self._max_gap_ns = round(config.time.max_gap * NANOSECONDS)
@@ -81,7 +83,7 @@ class Inbox:
         if not self._tracker.backlog:
             return None
         try:
-            estimate = self._tracker.estimate(at_most=SLICE)
+            estimate = self._tracker.estimate(at_most=self.slice)
         except CorrectionFailed as failed:
             account = self._account_of(failed.measurement)
             account.accepted -= 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovariance, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy, qos_profile_services_default, QoSProfile, ReliabilityPolicy
@@ -49,7 +50,10 @@ DENSITY = Endpoint('~/density', Float64MultiArray, 'the density over `density.ax
                    _reliable(1))
 DENSITY_MAP = Endpoint('~/density_map', OccupancyGrid, 'the marginal over x and y of the pose, '
                        'for RViz and Foxglove: 100 in the densest cell', _LATCHED)
-PUBLICATIONS = (POSE, POSE_UNSTAMPED, DENSITY, DENSITY_MAP)
+DIAGNOSTICS = Endpoint('/diagnostics', DiagnosticArray, 'once a second: the belief (mass, what '
+                       'was dropped as negligible, cells, standard deviations) and what became of '
+                       "every source's messages", _reliable(10))
+PUBLICATIONS = (POSE, POSE_UNSTAMPED, DENSITY, DENSITY_MAP, DIAGNOSTICS)
 
 INITIAL_POSE = Endpoint('initialpose', PoseWithCovarianceStamped, 'restarts the belief '
                         "there; RViz's 2D Pose Estimate", _reliable(10))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import sys
+from typing import Any
 
 from pif_ros.process import explain, failed, logs_to_stdout, Signals, strangers
 
@@ -14,13 +15,23 @@ def main(args: Sequence[str] | None = None) -> int:
 
     0: told to stop; 2: parameters that make no filter, named in one line on stderr.
     """
+    return run('filter_node', _filter_node, args)
+
+
+def run(name: str, make: Callable[[Sequence[str]], Sequence[Any]],
+        args: Sequence[str] | None) -> int:
+    """
+    Run nodes in a process of that name as main() does.
+
+    make: what gives them, once ROS is up, from the process' arguments; the first has accounts, and
+    can be drained.
+    """
     stopped = Signals()
     logs_to_stdout()
     arguments = list(sys.argv if args is None else args)
 
     # imported here, so that a signal during the half second that this takes is not lost
     from pif_ros.config import ConfigError
-    from pif_ros.filter_node import FilterNode
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
@@ -28,27 +39,38 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # noqa: B902  RCLError has no public name
-        return failed('filter_node', explain(error, arguments), 2)
+        return failed(name, explain(error, arguments), 2)
     try:
-        node = FilterNode()
-        if not node.told and (line := strangers(arguments, node.get_fully_qualified_name())):
-            raise ConfigError(line)
+        nodes = make(arguments)
     except ConfigError as error:
         rclpy.try_shutdown()
-        return failed('filter_node', str(error), 2)
+        return failed(name, str(error), 2)
     executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    for node in nodes:
+        executor.add_node(node)
+    first = nodes[0]
     while not stopped():
         try:
             executor.spin_once(timeout_sec=0.1)
         except Exception as error:  # noqa: B902  a peer's request can make rclpy itself raise
-            node.report('rclpy', f'rclpy: {type(error).__name__}: {error}')
-    node.drain()
-    node.get_logger().info(f'stopped; {node.accounts}')
+            first.report('rclpy', f'rclpy: {type(error).__name__}: {error}')
+    first.drain()
+    first.get_logger().info(f'stopped; {first.accounts}')
     executor.shutdown()
-    node.destroy_node()
+    for node in nodes:
+        node.destroy_node()
     rclpy.try_shutdown()
     return 0
+
+
+def _filter_node(arguments: Sequence[str]) -> list[Any]:
+    from pif_ros.config import ConfigError
+    from pif_ros.filter_node import FilterNode
+
+    node = FilterNode()
+    if not node.told and (line := strangers(arguments, node.get_fully_qualified_name())):
+        raise ConfigError(line)
+    return [node]
 
 
 if __name__ == '__main__':

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pif_ros.config import Config, specifications
@@ -15,13 +15,12 @@ from rclpy.parameter import Parameter
 FOREIGN = ('use_sim_time', 'start_type_description_service')
 
 
-def declare(node: Node) -> Config:
+def declare(node: Node, given: Mapping[str, Any]) -> Config:
     """
     Declare every parameter of the table on a node, and return what it was given.
 
     ConfigError names the first parameter that cannot be.
     """
-    given = told(node)
     config = Config.from_parameters(given)
     specs = specifications(config.measurements.names)
     for name in {**specs, **given}:

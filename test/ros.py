@@ -199,15 +199,19 @@ class Rig:
 
 
 class Executable:
-    """The executable filter_node in a process of its own; its output is in files."""
+    """
+    The executable filter_node, or another module, in a process of its own.
 
-    def __init__(self, folder: Path, *arguments: str) -> None:
+    Its output is in files.
+    """
+
+    def __init__(self, folder: Path, *arguments: str, module: str = 'pif_ros.node') -> None:
         """Start it with some ROS arguments."""
         self.began = time.monotonic()
         self._out, self._err = folder / 'stdout', folder / 'stderr'
         with self._out.open('wb') as out, self._err.open('wb') as err:
             self.process = subprocess.Popen(
-                [sys.executable, '-m', 'pif_ros.node', '--ros-args', *arguments], cwd=ROOT,
+                [sys.executable, '-m', module, '--ros-args', *arguments], cwd=ROOT,
                 stdout=out, stderr=err)
 
     @property
@@ -254,9 +258,10 @@ class Executable:
 
 
 @contextmanager
-def executable(folder: Path, *arguments: str) -> Iterator[Executable]:
+def executable(folder: Path, *arguments: str,
+               module: str = 'pif_ros.node') -> Iterator[Executable]:
     """Run the executable for as long as it is needed, and never longer."""
-    running = Executable(folder, *arguments)
+    running = Executable(folder, *arguments, module=module)
     try:
         yield running
     finally:

@@ -3,6 +3,7 @@
 import math
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseWithCovariance, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
@@ -149,7 +150,8 @@ TOPICS = {
     '~/pose': ('geometry_msgs/msg/PoseWithCovarianceStamped', 'RELIABLE', 'VOLATILE'),
     '~/pose_unstamped': ('geometry_msgs/msg/PoseWithCovariance', 'RELIABLE', 'VOLATILE'),
     '~/density': ('std_msgs/msg/Float64MultiArray', 'RELIABLE', 'VOLATILE'),
-    '~/density_map': ('nav_msgs/msg/OccupancyGrid', 'RELIABLE', 'TRANSIENT_LOCAL')}
+    '~/density_map': ('nav_msgs/msg/OccupancyGrid', 'RELIABLE', 'TRANSIENT_LOCAL'),
+    '/diagnostics': ('diagnostic_msgs/msg/DiagnosticArray', 'RELIABLE', 'VOLATILE')}
 HEARD = {
     'initialpose': ('geometry_msgs/msg/PoseWithCovarianceStamped', 'RELIABLE', 'VOLATILE'),
     'fix': ('geometry_msgs/msg/PointStamped', 'BEST_EFFORT', 'VOLATILE')}
@@ -166,6 +168,8 @@ def test_topics_and_services_are_those_of_the_contract(graph, arguments, space, 
     rig = Rig(graph, PLANE, *arguments, name=full)
 
     def resolved(topic):
+        if topic.startswith('/'):
+            return topic
         return topic.replace('~', full) if '~' in topic else f'{space.rstrip("/")}/{topic}'
 
     for contract, infos_of in ((TOPICS, rig.peer.get_publishers_info_by_topic),
@@ -844,15 +848,40 @@ def test_without_simulated_time_the_timer_goes_on_by_itself(graph):
     (False, ClockType.STEADY_TIME), (True, ClockType.ROS_TIME)])
 def test_the_timer_is_steady_unless_time_is_simulated(graph, simulated, kind):
     node = graph.filter_node({**PLANE, 'use_sim_time': simulated, 'publish.rate': 4.0})
-    [timer] = node.timers
+    [timer] = forecasts(node)
     assert (timer.clock.clock_type, timer.timer_period_ns) == (kind, 250 * MS)
 
 
 def test_without_a_rate_there_is_no_timer(graph):
-    assert list(graph.filter_node({**PLANE, 'publish.rate': 0}).timers) == []
+    assert forecasts(graph.filter_node({**PLANE, 'publish.rate': 0})) == []
+
+
+def test_diagnostics_tell_of_the_belief_and_of_every_source(graph):
+    rig = Rig(graph, PLANE)
+    heard = []
+    rig.peer.create_subscription(DiagnosticArray, '/diagnostics', heard.append, 10)
+    rig.send('fix', fix(T, 0.2, 0.1))
+    rig.pose_at(T)
+    graph.until(lambda: len(heard) > 1, 'diagnostics')
+    belief, source = heard[-1].status
+    assert (belief.name, belief.level, belief.message) == (
+        '/filter_node: belief', b'\0', 'on the grid')
+    values = {pair.key: pair.value for pair in belief.values}
+    newest = rig.node.tracker.newest.belief
+    assert float(values['mass']) == pytest.approx(newest.mass, abs=1e-9)
+    assert float(values['standard deviation of x']) == pytest.approx(
+        np.sqrt(newest.covariance()[0, 0]), rel=1e-5)
+    assert source.name == '/filter_node: main'
+    assert {pair.key: pair.value for pair in source.values} == {
+        'received': '1', 'accepted': '1', 'outliers': '0', 'dropped': '0'}
 
 
 # Too much, and too bad
+
+
+def forecasts(node):
+    """Return the timer that predicts poses to now, if there is one; another tells of the node."""
+    return [timer for timer in node.timers if timer.callback == node._on_timer]
 
 
 def corrections(monkeypatch):
@@ -1069,7 +1098,8 @@ def test_a_node_that_lags_behind_leaves_the_forecasts_to_the_timer(graph):
     # the clock goes on, measurements of seconds ago come in: none is predicted to now by itself
     message = Clock()
     stamp_into(message.clock, T + 6 * SECOND)
-    rig.node.destroy_timer(next(iter(rig.node.timers)))
+    [timer] = forecasts(rig.node)
+    rig.node.destroy_timer(timer)
     rig.send('/clock', message)
     graph.until(lambda: rig.node.get_clock().now().nanoseconds == T + 6 * SECOND, 'the clock')
     for k, (stamp_ns, *values) in enumerate(track()[1:]):

@@ -26,9 +26,9 @@ ROSDEP_KEYS = {
     'yaml': 'python3-yaml',
 }
 
-# Imported only where they are asked for or found; all but numba have no rosdep key: pip brings
-# them.
-OPTIONAL = {'dask', 'distributed', 'filterpy', 'numba', 'pywt'}
+# Imported only where they are asked for or found; all but numba, which brings llvmlite, have no
+# rosdep key: pip brings them.
+OPTIONAL = {'dask', 'distributed', 'filterpy', 'llvmlite', 'numba', 'pywt'}
 
 
 @pytest.fixture(scope='module')
@@ -83,7 +83,8 @@ def test_the_version_is_the_same_everywhere(distribution):
 
 def test_console_scripts_are_installed_where_ros_looks_for_them_and_load(prefix, distribution):
     scripts = distribution.entry_points.select(group='console_scripts')
-    assert scripts.names == {'filter_node', 'plaza_player', 'plaza_demo', 'reproduce', 'simulate'}
+    assert scripts.names == {'filter_bank', 'filter_node', 'plaza_player', 'plaza_demo',
+                             'reproduce', 'simulate'}
     for script in scripts:
         assert callable(script.load())
         assert os.access(prefix / 'lib' / 'pif_ros' / script.name, os.X_OK)

@@ -22,21 +22,31 @@ from pif_ros.core.tracker import Tracker
 Made = TypeVar('Made')
 
 
-def build_tracker(config: Config) -> Tracker[Any]:
-    """Return the tracker of a configuration; ConfigError names the parameter that is wrong."""
+def build_tracker(config: Config, filter_: Filter[Any] | None = None,
+                  kind: type[Tracker[Any]] = Tracker) -> Tracker[Any]:
+    """
+    Return the tracker of a configuration; ConfigError names the parameter that is wrong.
+
+    filter_: the filter of this configuration where there is one already.
+    """
     system = find_system(config)
-    filter_ = build_filter(config, system)
+    if filter_ is None:
+        filter_ = build_filter(config, system)
     prior = _prior(config, filter_, system.model)
-    return Tracker(filter_, prior, config.time.history, config.time.history_memory * 1e6,
-                   config.control.hold)
+    return kind(filter_, prior, config.time.history, config.time.history_memory * 1e6,
+                config.control.hold)
 
 
 def build_filter(config: Config, system: System) -> Filter[Any]:
     """Return the filter of a configuration over a system."""
     model = _in_sense(config, system.model)
     _check_control(config, model)
-    sensors = {name: _sensor(config, name, system) for name in config.measurements.names}
-    return make_filter(config, model, find_grid(config, model), sensors)
+    return make_filter(config, model, find_grid(config, model), find_sensors(config, system))
+
+
+def find_sensors(config: Config, system: System) -> dict[str, Sensor]:
+    """Return the sensors of a configuration's sources by name."""
+    return {name: _sensor(config, name, system) for name in config.measurements.names}
 
 
 def find_grid(config: Config, model: StateModel) -> Grid:

@@ -120,6 +120,11 @@ class Tracker(Generic[Belief]):
         return self._timeline[-1].stamp_ns if self._timeline else self._anchor.stamp_ns
 
     @property
+    def newest(self) -> Estimate[Belief]:
+        """Return what was believed after the newest of the corrections that were made."""
+        return self._posteriors[-1] if self._posteriors else self._anchor
+
+    @property
     def backlog(self) -> int:
         """Return how many corrections the next estimate has to make."""
         return len(self._timeline) - len(self._posteriors)
@@ -183,7 +188,7 @@ class Tracker(Generic[Belief]):
         done = len(self._posteriors)
         self.corrections = []
         for measurement in self._timeline[done:None if at_most is None else done + at_most]:
-            before = self._newest()
+            before = self.newest
             try:
                 predicted = self._carried(before, measurement.stamp_ns)
                 belief, log_evidence = self.filter.correct(
@@ -199,7 +204,7 @@ class Tracker(Generic[Belief]):
             self._posteriors.append(Estimate(measurement.stamp_ns, belief, log_evidence,
                                              before.total_log_evidence + weight))
             self.corrections.append(Correction(measurement, log_evidence, log_peak))
-        newest = self._newest()
+        newest = self.newest
         self._forget()
         return newest
 
@@ -211,9 +216,6 @@ class Tracker(Generic[Belief]):
         return Estimate(stamp_ns, self._carried(newest, stamp_ns), 0.0,
                         newest.total_log_evidence)
 
-    def _newest(self) -> Estimate[Belief]:
-        return self._posteriors[-1] if self._posteriors else self._anchor
-
     def _carried(self, before: Estimate[Belief], stamp_ns: int) -> Belief:
         """
         Return a belief predicted to a stamp.
@@ -222,16 +224,21 @@ class Tracker(Generic[Belief]):
         """
         if before.stamp_ns is None or before.stamp_ns == stamp_ns:
             return before.belief
+        belief, whole, last = self._started(before, stamp_ns)
+        controls = self._known_controls()
+        belief = self.filter.predict(belief, whole, last, controls)
+        self._rung = (before, (last - before.stamp_ns) // self.filter.time_step_ns, belief)
+        return self.filter.predict(belief, last, stamp_ns, controls)
+
+    def _started(self, before: Estimate[Belief], stamp_ns: int) -> tuple[Belief, int, int]:
+        """Return a belief as far on its way as is known, its stamp, and that of the last step."""
+        assert before.stamp_ns is not None
         step = self.filter.time_step_ns
         steps = (stamp_ns - before.stamp_ns) // step
         known, belief = 0, before.belief
         if self._rung is not None and self._rung[0] is before and self._rung[1] <= steps:
             _, known, belief = self._rung
-        whole, last = before.stamp_ns + known * step, before.stamp_ns + steps * step
-        controls = self._known_controls()
-        belief = self.filter.predict(belief, whole, last, controls)
-        self._rung = (before, steps, belief)
-        return self.filter.predict(belief, last, stamp_ns, controls)
+        return belief, before.stamp_ns + known * step, before.stamp_ns + steps * step
 
     def _cut_rung(self, stamp_ns: int) -> None:
         """Forget the steps of an earlier forecast where they go beyond a stamp."""

@@ -1,0 +1,237 @@
+"""Filter nodes of many targets on one kernel, whose predictions are made together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+import functools
+import re
+import time
+from typing import Any
+
+from pif_ros import parameters
+from pif_ros.accounts import Throttle
+from pif_ros.config import ConfigError, FilterOfMany
+from pif_ros.core.bank import Bank, Member
+from pif_ros.core.filters import NANOSECONDS
+from pif_ros.core.tracker import Estimate
+from pif_ros.filter_node import FilterNode, FORECASTS_TAKE
+from pif_ros.inbox import SLICE
+from pif_ros.process import guarded
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, ParameterUninitializedException
+from rclpy.guard_condition import GuardCondition
+from rclpy.node import Node
+
+TARGETS = 'targets'
+#: What ROS takes as a namespace, unless it is hidden.
+NAME = '[A-Za-z](_?[A-Za-z0-9])*_?'
+
+
+class Target(FilterNode):
+    """
+    The filter node of a target, in the namespace of its name, whose work a bank does.
+
+    many: what makes the trackers of all; wake: what tells the bank that there is work.
+    """
+
+    tracker: Member
+
+    def __init__(self, namespace: str, many: FilterOfMany, wake: GuardCondition,
+                 cli_args: Sequence[str] | None = None, **kwargs: Any) -> None:
+        self._many, self._bank_wake = many, wake
+        # before the process' own arguments, which would put all targets into one namespace
+        place = ['--ros-args', '-r', f'__ns:={namespace}', '-r', '__node:=filter_node', '--']
+        super().__init__(cli_args=[*place, *(cli_args or ())], **kwargs)
+
+    def lags(self, estimate: Estimate[Any]) -> int | None:
+        """Return the stamp that an estimate is predicted to before it is published, or None."""
+        stamp_ns = estimate.stamp_ns
+        if (stamp_ns is None or stamp_ns >= self._published_ns
+                or self._is_left_to_the_timer(stamp_ns)):
+            return None
+        return self._published_ns
+
+    @guarded
+    def correct(self) -> Estimate[Any] | None:
+        """Work in one measurement, and return what is then to be told."""
+        return self.inbox.work()
+
+    @guarded
+    def tell(self, estimate: Estimate[Any]) -> None:
+        """Publish an estimate."""
+        self._publish(estimate)
+
+    @guarded
+    def forecast(self, now_ns: int) -> None:
+        """Publish what is believed of now."""
+        self._publish(self.tracker.forecast(now_ns))
+
+    def now(self) -> int | None:
+        """Return the time in nanoseconds, None before there is a /clock."""
+        return self._now()
+
+    def _given(self) -> dict[str, Any]:
+        return {name: value for name, value in super()._given().items() if name != TARGETS}
+
+    def _make_tracker(self) -> Member:
+        known = len(self._many)
+        tracker = self._many.tracker(self.get_fully_qualified_name(), self.config)
+        self._is_warm = len(self._many) == known
+        return tracker
+
+    def _warm_up(self) -> None:
+        if not self._is_warm:
+            super()._warm_up()
+
+    def _start(self) -> None:
+        self._wake, self.inbox.slice = self._bank_wake, 1
+
+
+class FilterBank(Node):
+    """
+    The filter nodes of all targets, and what makes their work one.
+
+    Raises ConfigError for parameters that make no filter, or not one for all targets.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        try:
+            super().__init__('filter_bank', **kwargs)
+        except (InvalidParameterTypeException, ParameterUninitializedException):
+            raise ConfigError(parameters.mistyped(self)) from None
+        self.faults = 0
+        self._throttle = Throttle()
+        self._next_forecast: dict[float, float] = {}
+        given, many = parameters.told(self), FilterOfMany()
+        names = _targets(given.get(TARGETS))
+        self.declare_parameter(TARGETS, names, ParameterDescriptor(
+            read_only=True, description='who is tracked'), ignore_override=True)
+        self._wake = self.create_guard_condition(self._work)
+        self.targets: dict[str, Target] = {}
+        for name in names:
+            place = f'{self.get_namespace().rstrip("/")}/{name}'
+            try:
+                self.targets[name] = Target(place, many, self._wake, **kwargs)
+            except ConfigError as error:
+                raise ConfigError(f'{place}/filter_node: {error}') from None
+        self._check_own(given)
+        self._bank = Bank({name: node.tracker for name, node in self.targets.items()})
+        self._start_timers()
+        self.get_logger().info(f'targets on one kernel: {", ".join(names)}')
+        for remark in self._speed():
+            self.get_logger().warning(remark)
+
+    @property
+    def nodes(self) -> list[Node]:
+        """Return all nodes, to be spun together."""
+        return [self, *self.targets.values()]
+
+    @property
+    def accounts(self) -> str:
+        """Return what became of all targets' measurements, in a line."""
+        return '; '.join(f'{name}: {node.accounts}' for name, node in self.targets.items())
+
+    def drain(self) -> None:
+        """Account for what still waits."""
+        for target in self.targets.values():
+            target.drain()
+
+    def report(self, kind: str, text: str) -> None:
+        """Warn of something, at most one line of a kind every few seconds."""
+        line = self._throttle.line(kind, text)
+        if line is not None:
+            self.get_logger().warning(line)
+
+    # The work of all
+
+    @guarded
+    def _work(self) -> None:
+        """Correct by what waits, all targets by one measurement each, then by the next."""
+        try:
+            busy = [target for target in self.targets.values() if target.inbox.has_work]
+            for _ in range(SLICE):
+                busy = self._correct(busy)
+        finally:
+            if any(target.inbox.has_work for target in self.targets.values()):
+                self._wake.trigger()
+
+    def _correct(self, busy: Sequence[Target]) -> list[Target]:
+        """Correct some targets by a measurement each, and return who goes on with more."""
+        for target in busy:
+            target.drain()
+        left = [target.tracker.backlog for target in busy]
+        self._foresee((target.tracker, target.tracker.next_ns) for target in busy)
+        estimates = [(target, estimate) for target in busy
+                     if (estimate := target.correct()) is not None]
+        self._foresee((target.tracker, target.lags(estimate)) for target, estimate in estimates)
+        for target, estimate in estimates:
+            target.tell(estimate)
+        return [target for target, before in zip(busy, left)
+                if target.inbox.has_work and target.tracker.backlog < before]
+
+    @guarded
+    def _on_timer(self, rate: float, targets: Sequence[Target]) -> None:
+        now_ns, began = targets[0].now(), time.monotonic()
+        if now_ns is None or began < self._next_forecast.get(rate, 0.0):
+            return
+        due = [target for target in targets if target.is_due(now_ns)]
+        self._foresee((target.tracker, now_ns) for target in due)
+        for target in due:
+            target.forecast(now_ns)
+        took = FORECASTS_TAKE * (time.monotonic() - began)
+        self._next_forecast[rate] = began + took if took * rate > 1 else 0.0
+
+    def _foresee(self, asked: Iterable[tuple[Member, int | None]]) -> None:
+        try:
+            self._bank.foresee((tracker, stamp_ns) for tracker, stamp_ns in asked
+                               if stamp_ns is not None)
+        except Exception as error:  # noqa: B902  models are others' code
+            # each target meets it again by itself, and accounts for it
+            self.report('together', f'not predicted together: {type(error).__name__}: {error}')
+
+    # How it is set up
+
+    def _check_own(self, given: dict[str, Any]) -> None:
+        """Refuse what was told to the bank, and is meant for its targets."""
+        target, *_ = self.targets.values()
+        known = {TARGETS}.union(*map(parameters.told, self.targets.values()))
+        for name in given:
+            if name not in known:
+                raise ConfigError(f'{name}: expected among the parameters of /** or of a target '
+                                  f'such as {target.get_fully_qualified_name()}, got it '
+                                  f'among those of {self.get_fully_qualified_name()}')
+
+    def _start_timers(self) -> None:
+        groups: dict[tuple[float, bool], list[Target]] = {}
+        for target in self.targets.values():
+            simulated = target.get_parameter('use_sim_time').value
+            groups.setdefault((target.config.publish.rate, simulated), []).append(target)
+        for (rate, _), targets in groups.items():
+            if rate:
+                targets[0].create_timer(1 / rate, functools.partial(self._on_timer, rate, targets),
+                                        clock=targets[0].forecast_clock())
+
+    def _speed(self) -> list[str]:
+        """Return a sentence where prediction of all targets is slower than time."""
+        step, needed = next(iter(self.targets.values())).tracker.filter.time_step_ns, []
+        for _ in range(3):
+            began = time.perf_counter()
+            self._bank.rehearse()
+            needed.append(time.perf_counter() - began)
+        return [] if min(needed) < step / NANOSECONDS / 2 else [
+            f'targets: a step of {step / NANOSECONDS:g} s of all takes {min(needed):.2g} s to '
+            'compute: the filters cannot keep up; share the targets among processes']
+
+
+def _targets(given: Any) -> list[str]:
+    """Return the names of the targets; ConfigError where they are none."""
+    wanted = f'{TARGETS}: expected names of namespaces, at least one and each once'
+    names = [given] if isinstance(given, str) else given
+    if not isinstance(names, (list, tuple)) or not names:
+        raise ConfigError(f'{wanted}, got {given!r}' if given else f'{wanted}, got none')
+    for name in names:
+        if not isinstance(name, str) or not re.fullmatch(NAME, name):
+            raise ConfigError(f'{wanted}, got {name!r}')
+    if len(set(names)) < len(names):
+        raise ConfigError(f'{wanted}, got {list(names)}')
+    return list(names)
