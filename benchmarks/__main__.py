@@ -11,9 +11,9 @@ from benchmarks.report import Table, write
 from benchmarks.timing import Effort
 
 #: Each is a module of this package with run(effort) -> Table.
-CASES = ('step', 'build', 'split', 'plaza', 'rivals', 'paths', 'strategies.reuse',
-         'strategies.extent', 'strategies.significance', 'strategies.composition',
-         'strategies.wavelets', 'strategies.inflation', 'node')
+CASES = ('step', 'build', 'split', 'engine', 'batch', 'plaza', 'lorenz', 'active', 'cost',
+         'rivals', 'paths', 'strategies.reuse', 'strategies.extent', 'strategies.significance',
+         'strategies.composition', 'strategies.wavelets', 'strategies.inflation', 'node')
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -8,8 +8,8 @@ from typing import Protocol
 
 from benchmarks.problem import EDGE, grid_filter, prior, Recording, simulate, STEP_NS, TIME_STEP
 from benchmarks.progress import Progress
-from benchmarks.reference import (
-    CELLS, Cells, mean_size, Means, particle_means, predicted, Referee, SUBSTEPS)
+from benchmarks.reference import (CELLS, Cells, mean_size, Means, particle_means, predicted,
+                                  Referee, SUBSTEPS)
 from benchmarks.report import Goal, Row, Table
 from benchmarks.timing import Contestant, Effort, interleave, ratio
 import numpy as np
@@ -113,14 +113,14 @@ class Entry:
 def run(effort: Effort) -> Table:
     """Time all players on one recording, and hold their means against the exact filter's."""
     entries = _entries()
-    recordings = [simulate(seed, STEPS) for seed in SEEDS[:effort.scaled(len(SEEDS), 1)]]
-    accuracy, notes = _accuracy(entries, recordings, effort)
+    recordings = simulated(effort.scaled(len(SEEDS), 1))
+    figures, notes = accuracy(entries, recordings, effort)
     samples = interleave(
-        {entry.key: _contestant(entry, recordings[0]) for entry in entries},
+        {entry.key: contestant(entry, recordings[0]) for entry in entries},
         STEPS // PER_TURN, effort.scaled(PASSES, 1), Progress('step: timing'))
     keys = {entry.name: entry.key for entry in reversed(entries)}
     rows = [Row.timed(entry.name, entry.setting, samples[entry.key], samples[keys[entry.base]],
-                      entry.base, accuracy.get(entry.key)) for entry in entries]
+                      entry.base, figures.get(entry.key)) for entry in entries]
     plain = samples[keys[PLAIN]]
     rows.append(Row('the paper', '62 x 62, extent 2, its computer', PAPER_S,
                     ratio=PAPER_S / float(np.median(plain)), base=PLAIN))
@@ -149,13 +149,19 @@ def _entries() -> list[Entry]:
         Entry('particles, bootstrap', '10,000 particles', Particles(10_000), PLAIN)]
 
 
-def _contestant(entry: Entry, recording: Recording) -> Contestant:
+def simulated(count: int) -> list[Recording]:
+    """Return so many recordings."""
+    return [simulate(seed, STEPS) for seed in SEEDS[:count]]
+
+
+def contestant(entry: Entry, recording: Recording) -> Contestant:
+    """Return a player on a recording, in turns of PER_TURN steps."""
     return Contestant(entry.player.step, PER_TURN,
                       lambda: entry.player.start(recording.measurements))
 
 
-def _accuracy(entries: Sequence[Entry], recordings: Sequence[Recording],
-              effort: Effort) -> tuple[Mapping[str, Mapping[str, float | None]], list[str]]:
+def accuracy(entries: Sequence[Entry], recordings: Sequence[Recording],
+             effort: Effort) -> tuple[Mapping[str, Mapping[str, float | None]], list[str]]:
     """Return the figures of each player, and what is to be said about them."""
     referee, progress = Referee(), Progress('step: reference')
     references = [referee.means(recording, progress.part(i, len(recordings)))

@@ -14,15 +14,15 @@ ROOT = Path(__file__).resolve().parents[1]
 #: From the ground up: a module imports from lower lines only.  The entry points of TOP stand above
 #: all of it, and nothing imports them but each other.
 LAYERS = [
-    ['', 'core', 'share', 'accounts', 'process'],
-    ['core.grid'],
+    ['', 'core', 'core.compiler', 'share', 'accounts', 'process'],
+    ['core.grid', 'core.posterior'],
     ['core.belief'],
     ['core.models', 'core.scoring'],
     ['core.controls', 'core.systems.system', 'core.kernels.settings'],
     ['core.simulation'],
     ['core.systems.scalar', 'core.systems.coupled', 'core.systems.robots',
-     'core.kernels.formula', 'core.kernels.lattice'],
-    ['core.systems', 'core.kernels.moments'],
+     'core.kernels.formula', 'core.kernels.lattice', 'core.kernels.loops'],
+    ['core.systems', 'core.kernels.moments', 'core.kernels.blocks', 'core.kernels.single'],
     ['core.kernels.sampled', 'core.kernels.thin'],
     ['core.kernels.multiplicative', 'core.kernels.tilted', 'core.kernels.directions'],
     ['core.kernels.stencils'],
@@ -35,13 +35,13 @@ LAYERS = [
     ['core.active.window', 'core.active.settings', 'core.active.compiled'],
     ['core.active.belief', 'core.active.flow'],
     ['core.active.regions', 'core.active.resolution', 'core.active.transport'],
-    ['core.active.focus'],
+    ['core.active.focus', 'core.active.parting'],
     ['core.active.filter'],
     ['core.active'],
     ['core.filters'],
-    ['core.tracker', 'core.rivals.passage', 'core.continuous.increments'],
-    ['core.smoothing', 'core.rivals.cloud', 'core.rivals.gaussian', 'core.continuous.path',
-     'core.continuous.splitting', 'core.continuous.yau'],
+    ['core.tracker', 'core.batch', 'core.rivals.passage', 'core.continuous.increments'],
+    ['core.smoothing', 'core.bank', 'core.rivals.cloud', 'core.rivals.gaussian',
+     'core.continuous.path', 'core.continuous.splitting', 'core.continuous.yau'],
     ['core.rivals.particles', 'core.rivals.unscented', 'core.continuous.dirac_feynman_yau',
      'core.path_monte_carlo.diagnostics', 'core.path_monte_carlo.settings'],
     ['core.rivals', 'core.path_monte_carlo.posterior'],
@@ -55,20 +55,27 @@ LAYERS = [
     ['config.table'],
     ['config.filters'],
     ['config.build'],
+    ['config.bank'],
     ['config'],
-    ['parameters', 'conversions', 'interface', 'scenario'],
+    ['parameters', 'diagnostics', 'interface', 'scenario'],
+    ['conversions'],
     ['sources', 'reference'],
     ['inbox', 'outputs', 'simulation_node'],
     ['filter_node'],
+    ['filter_bank'],
     ['node', 'simulate'],
+    ['bank'],
 ]
 TOP = ('plaza', 'reproduction')
 
 #: What the core may import besides numpy and scipy, and where: only when it is asked for.
-OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'}}
+OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'},
+            'core.compiler': {'numba'}, 'core.kernels.loops': {'llvmlite', 'numba'},
+            'core.posterior': {'numba'}}
 
 #: Who may speak to rclpy, and who of them handles messages.
-SPEAKS_ROS = {'parameters', 'outputs', 'filter_node', 'node', 'interface', 'conversions',
+SPEAKS_ROS = {'parameters', 'outputs', 'filter_node', 'filter_bank', 'node',
+              'interface', 'conversions',
               'simulate', 'simulation_node',
               'plaza.player', 'plaza.player_node', 'plaza.recorder', 'plaza.demonstration'}
 HANDLES_MESSAGES = {'conversions', 'interface', 'filter_node', 'simulation_node',

@@ -117,7 +117,7 @@ def _settings(config: Config) -> KernelSettings:
         return KernelSettings(kernel.time_step, kernel.r, kernel.jacobian, kernel.extent,
                               kernel.weights, kernel.tolerance, kernel.noise_inflation,
                               kernel.form if config.filter.type == 'df' else 'tabulated',
-                              kernel.macro_error)
+                              kernel.macro_error, kernel.precision)
 
 
 def _operator(config: Config, model: StateModel) -> OperatorSettings:
@@ -138,7 +138,7 @@ def _refuse_what_is_not_used(config: Config, kind: str) -> None:
     why = f'with filter.type {kind!r}'
     _expect_defaults('operator', config.operator, why)
     _expect_defaults('filter', config.filter, why, 'significance')
-    _expect_defaults('kernel', config.kernel, why, 'form', 'macro_error')
+    _expect_defaults('kernel', config.kernel, why, 'form', 'macro_error', 'precision')
     if kind != 'dfy':
         _expect_defaults('kernel', config.kernel, why, 'extent', 'noise_inflation')
 

@@ -114,6 +114,9 @@ class KernelConfig:
     macro_error: float = parameter(0.0, PART, 'df: a gap between measurements is crossed in steps '
                                    'of 2, 4, 8 ... time steps, as long as each differs by less '
                                    'than this (in L1) from two of half its length; 0: never')
+    precision: str = parameter('double', one_of('double', 'single'), 'df: of the weights of a '
+                               'split kernel and of densities on their way through it; single '
+                               'halves the memory, and saves time from 100,000 cells on')
 
 
 @dataclass(frozen=True)

@@ -13,18 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.controls import Controls, NANOSECONDS, NO_CONTROLS
 from pif_ros.core.grid import Grid
-from pif_ros.core.kernels import (chosen_form, KernelSettings, ladder, longer_kernel, Operator,
-                                  operator_of, OperatorSettings, step_kernel, step_remarks,
-                                  stored_weights, turned)
+from pif_ros.core.kernels import (chosen_form, compile_loops, KernelSettings, ladder,
+                                  longer_kernel, Operator, operator_of, OperatorSettings,
+                                  SplitKernel, step_kernel, step_remarks, stored_weights, turned)
 from pif_ros.core.likelihood import GridLikelihood
 from pif_ros.core.models import Sensor, StateModel
+from pif_ros.core.posterior import posterior, warm_up
 
 Array = NDArray[np.float64]
 
-#: A density below this is none: a subnormal number costs as much as a hundred others.
-NEGLIGIBLE = 1e-290
-#: An evidence below this share of the largest likelihood may have lost digits to underflow.
-UNSAFE = 1e-200
 #: What the kernels of a model that changes with time may take together.
 KEPT_BYTES = 5e8
 
@@ -121,6 +118,16 @@ class DiracFeynmanFilter:
         object.__setattr__(self, 'form', chosen_form(self.model, self.grid, self.kernel,
                                                      self.operator))
 
+    def with_sensors(self, sensors: Mapping[str, Sensor]) -> DiracFeynmanFilter:
+        """Return a filter with other sensors, and this one's kernels."""
+        other = replace(self, sensors=sensors)
+        vars(other).update(_kernels=self._kernels, _strides=self._strides)
+        return other
+
+    def shares_kernels(self, other: DiracFeynmanFilter) -> bool:
+        """Return whether this filter and another have one kernel in memory."""
+        return self._kernels is other._kernels
+
     @cached_property
     def time_step_ns(self) -> int:
         """Return the longest step that is taken, in nanoseconds."""
@@ -184,24 +191,14 @@ class DiracFeynmanFilter:
             p = p[cells]
         log_l = self._likelihoods[sensor].log(np.asarray(y, dtype=float), p,
                                               at_ns / NANOSECONDS, cells)
-        peak = log_l.max()
-        posterior = _posterior(p, log_l, peak)
-        evidence = posterior.sum()
-        if not evidence > UNSAFE:
-            # an outlier, or cells without a likelihood: with logs of the prior too
-            log_l, peak = _log_joint(p, log_l)
-            if not np.isfinite(peak):
-                return belief, -np.inf
-            posterior = np.exp(log_l - peak)
-            evidence = posterior.sum()
-        posterior /= evidence * self.grid.cell_volume
-        posterior -= NEGLIGIBLE
-        np.maximum(posterior, 0.0, out=posterior)
+        found = posterior(p, log_l, self.grid.cell_volume)
+        if found is None:
+            return belief, -np.inf
+        p, log_evidence = found
         if cells is not None:
-            corrected, posterior = posterior, np.zeros(self.grid.size)
-            posterior[cells] = corrected
-        return (GridBelief(self.grid, posterior.reshape(self.grid.shape)),
-                float(peak + np.log(evidence * self.grid.cell_volume)))
+            corrected, p = p, np.zeros(self.grid.size)
+            p[cells] = corrected
+        return GridBelief(self.grid, p.reshape(self.grid.shape)), log_evidence
 
     def log_peak(self, belief: GridBelief, sensor: str, at_ns: int) -> float:
         """Return the log evidence of a measurement that is just as the belief is sure it is."""
@@ -220,7 +217,10 @@ class DiracFeynmanFilter:
         return self._strides[0][1](t_ns)
 
     def describe(self) -> str:
-        """Return the size of grid and kernel; the first kernel is made now."""
+        """Return the size of grid and kernel; the first kernel is made now, and loops compiled."""
+        warm_up()
+        if self.form == 'split':
+            compile_loops(self.kernel.dtype.itemsize)
         cells = f'Dirac-Feynman filter on {" x ".join(map(str, self.grid.shape))} cells'
         if self.model.changes_with_time:
             return f'{cells}, a kernel for every step'
@@ -229,8 +229,9 @@ class DiracFeynmanFilter:
         count = self.time_step_ns // self._kernel_ns
         steps = f' of {count} steps' if count > 1 else ''
         split = ' split by axis,' if self.form == 'split' else ''
+        size = operator.nbytes if isinstance(operator, SplitKernel) else 12 * operator.nnz
         return (f'{cells}, a kernel{steps}{split} of {operator.nnz:,} weights{basis} '
-                f'({12e-6 * operator.nnz:.1f} MB)')
+                f'({1e-6 * size:.1f} MB)')
 
     def remarks(self) -> list[str]:
         """Return how the grid fits step and sensors, a sentence for each that it does not fit."""
@@ -287,18 +288,3 @@ class DiracFeynmanFilter:
     def _likelihoods(self) -> Mapping[str, GridLikelihood]:
         return {name: GridLikelihood(self.grid, sensor, self.average_cells)
                 for name, sensor in self.sensors.items()}
-
-
-def _posterior(p: Array, log_l: Array, peak: float) -> Array:
-    """Return p(y | x) p(x) up to the factor exp(peak)  [Sensors, Eq. 27]."""
-    factor = np.subtract(log_l, peak)
-    np.exp(factor, out=factor)
-    factor *= p
-    return factor
-
-
-def _log_joint(p: Array, log_l: Array) -> tuple[Array, float]:
-    """Return log p(y | x) p(x), -inf where either is not, and its maximum."""
-    with np.errstate(divide='ignore'):
-        log_joint = np.where(np.isnan(log_l), -np.inf, log_l) + np.log(p)
-    return log_joint, float(log_joint.max())

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor
+from pif_ros.core.posterior import log_likelihood
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -76,14 +77,16 @@ class GridLikelihood:
         # -|v - u|^2 / 2 = v u - |v|^2 / 2 - |u|^2 / 2, of which only the first needs both
         origin, v, square = self._whitened
         u = self._whiten @ y - origin
-        log_l: Array = u @ v[:, cells]
-        log_l += square[cells]
-        log_l += _log_constant(self._whiten) - 0.5 * float(u @ u)
-        return log_l
+        return log_likelihood(u, v[:, cells], square[cells],
+                              self._log_constant - 0.5 * float(u @ u))
 
     @cached_property
     def _whiten(self) -> Array:
         return _whitening(self.sensor, 0.0)
+
+    @cached_property
+    def _log_constant(self) -> float:
+        return _log_constant(self._whiten)
 
     @cached_property
     def _whitened(self) -> tuple[Array, Array, Array]:

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.continuous.increments import Increments
-from pif_ros.core.filters import NANOSECONDS, NEGLIGIBLE
+from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import dirac_feynman, KernelSettings
 from pif_ros.core.likelihood import GridLikelihood
 from pif_ros.core.models import StateModel
+from pif_ros.core.posterior import NEGLIGIBLE
 from scipy import sparse
 
 Array = NDArray[np.float64]

@@ -43,19 +43,22 @@ def chosen_form(model: StateModel, grid: Grid, settings: KernelSettings,
     Left to itself it is split where that is possible, the noise is at least LEAST on every axis
     that has a drift, and their order matters by at most MOST: there it is about as near to the
     exact density or nearer, and has the fewer weights.  Raises ValueError where it is asked for
-    and cannot be, or where macro steps are and cannot be.
+    and cannot be, where macro steps are and cannot be, or for a tabulated one in single precision.
     """
     if settings.macro_error and (model.changes_with_time or how != OperatorSettings()):
         raise ValueError('macro_error: expected 0 where the model changes with time, or with an '
                          f'operator of steps, file or wavelet, got {settings.macro_error!r}')
-    if settings.form == 'tabulated':
-        return 'tabulated'
-    hindrance = _hindrance(model, grid, settings, how)
+    hindrance = _hindrance(model, grid, settings, how) if settings.form != 'tabulated' else ''
     if settings.form == 'split':
         if hindrance:
             raise ValueError(f"form: expected 'auto' or 'tabulated' {hindrance}, got 'split'")
         return 'split'
-    return 'tabulated' if hindrance or not _is_good(model, grid, settings) else 'split'
+    if settings.form == 'auto' and not hindrance and _is_good(model, grid, settings):
+        return 'split'
+    if settings.precision != 'double':
+        raise ValueError("precision: expected 'double' where the kernel is tabulated, "
+                         f'got {settings.precision!r}')
+    return 'tabulated'
 
 
 def step_kernel(model: StateModel, grid: Grid, settings: KernelSettings, how: OperatorSettings,
@@ -164,8 +167,8 @@ def _is_good(model: StateModel, grid: Grid, settings: KernelSettings) -> bool:
 def _hindrance(model: StateModel, grid: Grid, settings: KernelSettings,
                how: OperatorSettings) -> str:
     """Return why a kernel cannot be split, '' where it can."""
-    for given, spared in ((settings, ('time_step', 'tolerance', 'form', 'macro_error')),
-                          (how, ())):
+    for given, spared in ((settings, ('time_step', 'tolerance', 'form', 'macro_error',
+                                      'precision')), (how, ())):
         for field in dataclasses.fields(given):
             value = getattr(given, field.name)
             if field.name not in spared and value != field.default:

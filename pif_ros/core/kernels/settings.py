@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 import math
 
+import numpy as np
+
 
 @dataclass(frozen=True)
 class KernelSettings:
@@ -21,7 +23,8 @@ class KernelSettings:
     'tabulated' for a weight per pair of cells, 'split' for an operator per axis, which has no use
     for the settings from r to noise_inflation but the tolerance, 'auto' for whichever suits model,
     grid and these settings; macro_error: how far in L1 a step of twice the length may be from two
-    steps, to be taken for them, 0 for none.  Raises ValueError for what makes no kernel.
+    steps, to be taken for them, 0 for none; precision: 'double' or 'single', in which the weights
+    of a split kernel are kept and densities move.  Raises ValueError for what makes no kernel.
     """
 
     time_step: float
@@ -33,6 +36,7 @@ class KernelSettings:
     noise_inflation: float = 0.0
     form: str = 'tabulated'
     macro_error: float = 0.0
+    precision: str = 'double'
 
     def __post_init__(self) -> None:
         """Refuse what makes no kernel."""
@@ -50,6 +54,12 @@ class KernelSettings:
                  0 <= self.noise_inflation < math.inf),
                 ('form', "'auto', 'tabulated' or 'split'",
                  self.form in ('auto', 'tabulated', 'split')),
-                ('macro_error', 'a number from 0 to below 1', 0 <= self.macro_error < 1)):
+                ('macro_error', 'a number from 0 to below 1', 0 <= self.macro_error < 1),
+                ('precision', "'double' or 'single'", self.precision in ('double', 'single'))):
             if not holds:
                 raise ValueError(f'{name}: expected {wanted}, got {getattr(self, name)!r}')
+
+    @property
+    def dtype(self) -> np.dtype[np.floating]:
+        """Return the type of a split kernel's weights."""
+        return np.dtype(np.float32 if self.precision == 'single' else np.float64)

@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.grid import Grid
+from pif_ros.core.kernels.blocks import BlockFactor, compiled, product
 from pif_ros.core.kernels.directions import integer_directions
 from pif_ros.core.kernels.lattice import FAR, Integers, strides_of, variance_in_cells, whole_cells
 from pif_ros.core.kernels.settings import KernelSettings
+from pif_ros.core.kernels.single import narrow, widen
 from pif_ros.core.kernels.tilted import half_width, lattice_weights
 from pif_ros.core.models import StateModel
 from scipy import sparse
@@ -35,9 +37,14 @@ GROWTH = 1.0
 
 @dataclass(frozen=True, eq=False)
 class SplitKernel:
-    """A product of sparse operators: densities move as K @ p, the first factor first."""
+    """
+    A product of sparse operators: densities move as K @ p, the first factor first.
 
-    factors: tuple[sparse.csc_array, ...]
+    In blocks where there is a compiler, else as sparse arrays; either gives the other's result,
+    but for what is not worth carrying.
+    """
+
+    factors: tuple[sparse.csc_array | BlockFactor, ...]
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -49,11 +56,19 @@ class SplitKernel:
         """Return the number of stored weights."""
         return sum(int(factor.nnz) for factor in self.factors)
 
+    @property
+    def nbytes(self) -> int:
+        """Return the memory that it takes, in bytes."""
+        return sum(factor.nbytes if isinstance(factor, BlockFactor) else
+                   factor.data.nbytes + factor.indices.nbytes + factor.indptr.nbytes
+                   for factor in self.factors)
+
     def __matmul__(self, density: Any) -> Any:
         """Return the densities (size,) or (size, targets) after the step."""
-        for factor in self.factors:
-            density = factor @ density
-        return density
+        if self.factors[0].dtype == np.float64:
+            return self._moved(density)
+        shares, densest = narrow(density)
+        return widen(self._moved(shares), densest)
 
     @cached_property
     def turned(self) -> SplitKernel:
@@ -64,6 +79,17 @@ class SplitKernel:
     def T(self) -> SplitKernel:  # noqa: N802
         """Return the transpose."""
         return SplitKernel(tuple(factor.T for factor in self.factors[::-1]))
+
+    def _moved(self, p: Any) -> Any:
+        if self._in_blocks:
+            return product(self.factors, p)
+        for factor in self.factors:
+            p = factor @ p
+        return p
+
+    @cached_property
+    def _in_blocks(self) -> bool:
+        return all(isinstance(factor, BlockFactor) for factor in self.factors)
 
 
 def split_kernel(model: StateModel, grid: Grid, settings: KernelSettings,
@@ -147,7 +173,7 @@ def _differences(F: Array) -> tuple[Array, Array, Array]:
 
 
 def _factor(grid: Grid, settings: KernelSettings, step: Integers, mean: Array,
-            variance: Array) -> sparse.csc_array:
+            variance: Array) -> sparse.csc_array | BlockFactor:
     """Return the operator that moves each cell by whole steps with a mean and a variance."""
     mean = np.clip(mean, -FAR, FAR)
     shift = whole_cells(mean)
@@ -162,7 +188,7 @@ def _factor(grid: Grid, settings: KernelSettings, step: Integers, mean: Array,
         nodes = np.arange(-half, half + 1)
         targets, keep = _land(grid, step, some, (shift[some, None] + nodes).astype(np.int32))
         keep &= w > 0
-        data.append(w[keep])
+        data.append(w[keep].astype(settings.dtype, copy=False))
         rows.append(targets[keep])
         counts[some.start + 1:some.stop + 1] = keep.sum(axis=1)
     pointers = np.cumsum(counts)
@@ -173,7 +199,7 @@ def _factor(grid: Grid, settings: KernelSettings, step: Integers, mean: Array,
     if any(grid.periodic[d] and 2 * half_width(variance, tolerance) >= grid.shape[d]
            for d in np.flatnonzero(step)):
         factor.sum_duplicates()
-    return factor
+    return compiled(factor)
 
 
 def _land(grid: Grid, step: Integers, some: slice,

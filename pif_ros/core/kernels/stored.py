@@ -33,7 +33,7 @@ CHECKSUM = struct.Struct('<I')
 #: A value counts to so many bits: the last digits of a sine are the processor's, not the model's.
 BITS = 26
 #: Settings that a tabulated kernel does not depend on.
-FREE = ('form', 'macro_error')
+FREE = ('form', 'macro_error', 'precision')
 #: A smaller value is the rounding of a nought.
 NOTHING = 1e-12
 
