@@ -5,7 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 from pif_ros.config import build_tracker, Config, ConfigError, find_grid, specifications
+from pif_ros.config.filters import make_filter
+from pif_ros.core.active import ActiveGridFilter
+from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
+from pif_ros.core.models import StateModel
+from pif_ros.core.systems import unicycle_2d
 from pif_ros.filter_node import FilterNode
 import pytest
 from ros import Graph, ROOT
@@ -438,3 +443,22 @@ def test_no_module_is_imported_for_a_name_in_a_parameter(
         with pytest.raises(ConfigError, match=f'^{parameter}: '):
             one_graph.filter_node({**SMALL, parameter: name})
     assert imported.names == []
+
+
+def drifting(**more):
+    return StateModel(('x',), lambda x, t: np.cos(t) - x, [[0.5]], **more)
+
+
+@pytest.mark.parametrize('model, given, kind', [
+    (drifting(time_dependent=True), {}, ActiveGridFilter),
+    (drifting(time_dependent=True), {'region.kind': 'full'}, DiracFeynmanFilter),
+    (drifting(time_dependent=True), {'kernel.r': 0.0}, DiracFeynmanFilter),
+    (drifting(time_dependent=True, period=1.0), {}, DiracFeynmanFilter),
+    (drifting(), {}, DiracFeynmanFilter),
+    (drifting(), {'region.kind': 'active'}, ActiveGridFilter),
+    (unicycle_2d().model, {}, ActiveGridFilter)])
+def test_the_engine_is_the_one_that_suits_the_model_unless_another_is_asked_for(
+        model, given, kind):
+    grid = Grid((-5.0,) * model.ndim, (5.0,) * model.ndim, (20,) * model.ndim)
+    filter_ = make_filter(Config.from_parameters(given), model, grid, {})
+    assert type(filter_) is kind

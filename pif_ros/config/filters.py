@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pif_ros.config.kinds import ConfigError, named
 from pif_ros.config.table import Config
-from pif_ros.core.active import ActiveGridFilter, RegionSettings
+from pif_ros.core.active import ActiveGridFilter, RegionSettings, unsuited
 from pif_ros.core.continuous import DiracFeynmanYauFilter, ExtendedKalmanBucyFilter
 from pif_ros.core.filters import DiracFeynmanFilter, Filter
 from pif_ros.core.grid import Grid
@@ -64,9 +64,18 @@ def make_filter(config: Config, model: StateModel, grid: Grid,
 
 
 def _is_active(config: Config, model: StateModel) -> bool:
-    """Return whether only the cells where the belief is are worked on."""
-    kind = config.region.kind
-    return kind == 'active' or kind == 'auto' and bool(model.inputs)
+    """
+    Return whether only the cells where the belief is are worked on.
+
+    Left to itself that is so where a kernel would have to be made anew for every step, unless
+    something is said of that kernel.
+    """
+    if config.region.kind != 'auto':
+        return config.region.kind == 'active'
+    fleeting = (model.changes_with_time and not model.period and not unsuited(model)
+                and not _changed(config.kernel, 'time_step', 's')
+                and not _changed(config.operator))
+    return bool(model.inputs) or fleeting
 
 
 def _active_filter(config: Config, model: StateModel, grid: Grid,
@@ -75,9 +84,8 @@ def _active_filter(config: Config, model: StateModel, grid: Grid,
     why = 'where only active cells are worked on'
     _expect_defaults('operator', config.operator, why)
     _expect_defaults('filter', config.filter, why, 'significance')
-    for field in dataclasses.fields(config.kernel):
-        if field.name not in ('time_step', 's'):
-            _expect_defaults('kernel', config.kernel, why, field.name)
+    if kept := _changed(config.kernel, 'time_step', 's'):
+        _expect_defaults('kernel', config.kernel, why, *kept)
     if config.prior.type == 'uniform':
         _check('grid.shape: expected a grid whose uniform prior fits', list(grid.shape),
                8.0 * ARRAYS_PER_GRID * float(np.prod(np.array(grid.shape, dtype=float))))
@@ -143,13 +151,19 @@ def _refuse_what_is_not_used(config: Config, kind: str) -> None:
         _expect_defaults('kernel', config.kernel, why, 'extent', 'noise_inflation')
 
 
+def _changed(settings: Any, *spared: str) -> list[str]:
+    """Return the names of the settings that are not their defaults."""
+    return [field.name for field in dataclasses.fields(settings)
+            if field.name not in spared and getattr(settings, field.name) != field.default]
+
+
 def _expect_defaults(section: str, settings: Any, why: str, *names: str) -> None:
     """Raise ConfigError where one of some settings (of all where none is named) was changed."""
-    for field in dataclasses.fields(settings):
-        given = getattr(settings, field.name)
-        if given != field.default and (not names or field.name in names):
-            raise ConfigError(f'{section}.{field.name}: expected {field.default!r} {why}, '
-                              f'got {given!r}')
+    for name in _changed(settings):
+        if not names or name in names:
+            default = type(settings).__dataclass_fields__[name].default
+            raise ConfigError(f'{section}.{name}: expected {default!r} {why}, '
+                              f'got {getattr(settings, name)!r}')
 
 
 def _with_form(model: StateModel, grid: Grid, settings: KernelSettings,

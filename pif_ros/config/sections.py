@@ -45,7 +45,7 @@ class RegionConfig:
     kind: str = parameter('auto', one_of('auto', 'full', 'active'), 'df: all cells; only those '
                           'where the belief is, and finer ones where it is narrow, for which the '
                           'grid is the world and its widest cells; auto: active where the model '
-                          'has inputs')
+                          'has inputs, or changes with time and never comes again')
     negligible: float = parameter(1e-5, PART, "active: share of a patch's mass that may be left "
                                   'out in each step')
     resolution: float = parameter(1.3, POSITIVE, 'active: cells per standard deviation below '
