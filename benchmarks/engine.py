@@ -46,7 +46,7 @@ class WithoutCompiler:
 
     def __init__(self, cells: int, settings: KernelSettings) -> None:
         """Make the filter and its kernel."""
-        with _numpy_alone():
+        with numpy_alone():
             filter_ = grid_filter(cells, settings)
             filter_.kernel_at(0)
             self._player = GridPlayer(filter_)
@@ -57,7 +57,7 @@ class WithoutCompiler:
 
     def step(self, k: int) -> None:
         """Predict, and correct with the k-th measurement."""
-        with _numpy_alone():
+        with numpy_alone():
             self._player.step(k)
 
     def means(self) -> Means:
@@ -66,12 +66,12 @@ class WithoutCompiler:
 
     def predicted(self, steps: int) -> Cells:
         """Return the density some steps from N(0, I) without a measurement."""
-        with _numpy_alone():
+        with numpy_alone():
             return self._player.predicted(steps)
 
 
 @contextmanager
-def _numpy_alone() -> Iterator[None]:
+def numpy_alone() -> Iterator[None]:
     """Go on as if there were no compiler."""
     there, compiler.is_available = compiler.is_available, lambda: False
     try:
@@ -197,7 +197,7 @@ def _apply(K: SplitKernel, p: Array, k: int) -> None:
 
 
 def _made_plain(model: StateModel, grid: Grid, how: KernelSettings) -> SplitKernel:
-    with _numpy_alone():
+    with numpy_alone():
         return split_kernel(model, grid, how)
 
 
@@ -244,8 +244,8 @@ _PLANE_NOTES = (
     'and the one with numpy and scipy alone run as if no compiler were there; ratios hold in '
     'turns, and the larger ones move with what else goes through the memory: the plain kernel of '
     '200 x 200 cells does not fit into a cache, everything of 62 x 62 cells does.',
-    'What bounds it now: of a compiled step on 62 x 62 cells about half are loops over cells, half '
-    "of it the kernel's weights out of the second-level cache and half the likelihood and its "
+    'What bounds it now: about half of a compiled step on 62 x 62 cells are loops over cells, half '
+    "of these the kernel's weights out of the second-level cache and half the likelihood and its "
     'exponential; the rest are calls and allocations in Python. With numpy and scipy alone it is '
     'the two sparse products and the exponential.',
     "Stone Soup's point mass filter takes 3,721 points and one linear model for all; it is "

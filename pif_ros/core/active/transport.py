@@ -10,6 +10,7 @@ where the noise is at least a quarter of a cell squared, and nothing is ever neg
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ def heated(patch: Patch, variance: Array,
     """
     for strength, direction in across:
         patch = _heated_along(patch, noise_kernel(strength), np.array(direction))
-    kernels = [noise_kernel(v) for v in variance]
+    kernels = [noise_kernel(float(v)) for v in variance]
     patch = _closed(patch, [len(kernel) // 2 for kernel in kernels])
     window, p = patch.window, patch.density
     reach = [0 if circle else len(kernel) // 2
@@ -117,6 +118,7 @@ def _heated_along(patch: Patch, kernel: Array, direction: Integers) -> Patch:
     return _placed(window, -grown, np.asarray(shared))
 
 
+@lru_cache(maxsize=256)
 def noise_kernel(variance: float) -> Array:
     """
     Return the weights of moves by -K to K cells with a variance in cells squared, (2 K + 1,).
@@ -139,7 +141,8 @@ def noise_kernel(variance: float) -> Array:
         slope = found**2 - float(w @ k**4)
         a = max(a - (found - variance) / slope if slope < 0 else 2 * a, 0.5 * a)
     weights: Array = np.exp(-a * k * k)
-    return weights / weights.sum()
+    weights /= weights.sum()
+    return weights
 
 
 def deposited(patch: Patch, move: Array, spread: Array) -> Patch:

@@ -28,7 +28,10 @@ def integer_directions(variance: Array) -> tuple[Array, list[tuple[float, tuple[
     n = len(variance)
     axes, others = np.zeros(n), []
     size = ROUNDING * np.sqrt(np.outer(np.diag(variance), np.diag(variance)))
-    _, group = csgraph.connected_components(sparse.csr_array(np.abs(variance) > size))
+    correlated = np.abs(variance) > size
+    if not correlated[~np.eye(n, dtype=bool)].any():
+        return np.diag(variance).copy(), []
+    _, group = csgraph.connected_components(sparse.csr_array(correlated))
     for number in range(group.max() + 1):
         members = np.flatnonzero(group == number)
         for strength, direction in _selling(variance[np.ix_(members, members)]):
