@@ -164,3 +164,30 @@ def test_a_patch_that_grows_all_round_a_circle_becomes_the_circle(offset):
     expected = heated(Patch(Window.whole(circle), whole), np.array([1.5]))
     assert grown.window == expected.window
     np.testing.assert_allclose(grown.density, expected.density, rtol=1e-12)
+
+
+def test_what_the_drift_does_not_tell_or_takes_out_of_the_world_is_lost_and_nothing_else():
+    line = Grid((0.0,), (20.0,), (20,))
+    p = np.arange(1.0, 9.0)
+    move = np.array([[0.0, np.nan, 1.0, np.inf, -np.inf, 1e300, -1e300, 2.0]])
+    after = deposited(Patch(Window(line, (0,), (6,), (8,)), p), move, np.zeros(1))
+    first = after.window.offset[0]
+    assert after.density[6 - first] == 1.0
+    assert after.density[6 + 2 + 1 - first] == 3.0
+    assert after.density[6 + 7 + 2 - first] == 8.0
+    # what is finite but far lands outside, on either side
+    assert after.density[:-first].sum() == 7.0
+    assert after.density[20 - first:].sum() == 6.0
+    assert after.density.sum() == 25.0
+
+
+@pytest.mark.parametrize('variance', [3.0, 60.0, 400.0])
+def test_noise_that_reaches_several_times_round_a_circle_is_wrapped(variance):
+    circle = Grid((-np.pi,), (np.pi,), (16,), (True,))
+    p = np.random.default_rng(6).random(16)
+    after = heated(Patch(Window.whole(circle), p), np.array([variance]))
+    kernel = noise_kernel(variance)
+    expected = np.zeros(16)
+    for j, w in itertools.product(range(16), enumerate(kernel)):
+        expected[(j + w[0] - len(kernel) // 2) % 16] += w[1] * p[j]
+    np.testing.assert_allclose(after.density, expected, rtol=1e-12)

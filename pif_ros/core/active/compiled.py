@@ -149,12 +149,13 @@ def _convolve(p, weights, circle, result):  # type: ignore[no-untyped-def]  # pr
     for i in range(p.shape[0]):
         for k in range(len(weights)):
             w, move = weights[k], k - reach
-            first, last = max(0, -move), min(count, count - move)
-            # in one line each, whatever lies along the axis and beyond it
-            there = result[i, first + move:last + move].reshape(-1)
-            here = p[i, first:last].reshape(-1)
-            for j in range(len(here)):
-                there[j] += w * here[j]
+            if -count < move < count:
+                # in one line each, whatever lies along the axis and beyond it
+                first, last = max(0, -move), min(count, count - move)
+                there = result[i, first + move:last + move].reshape(-1)
+                here = p[i, first:last].reshape(-1)
+                for j in range(len(here)):
+                    there[j] += w * here[j]
             if circle:
                 for j in range(count):
                     if not 0 <= j + move < count:

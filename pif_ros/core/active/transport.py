@@ -154,6 +154,7 @@ def deposited(patch: Patch, move: Array, spread: Array) -> Patch:
     w_0 = 1 - (v + d^2), w_(+-1) = (v + d^2 +- d) / 2.
     """
     window, p = patch.window, patch.density
+    move, p = _sound(window, move, p)
     least = NOTHING * float(p.max())
     if compiled.is_available():
         return _placed(window, *compiled.share(
@@ -167,6 +168,20 @@ def deposited(patch: Patch, move: Array, spread: Array) -> Patch:
         result += _shared([place[k:k + CHUNK] for place in places], mass[k:k + CHUNK], spread,
                           window, first, shape)
     return _placed(window, first, result.reshape(shape))
+
+
+def _sound(window: Window, move: Array, p: Array) -> tuple[Array, Array]:
+    """
+    Return moves that are finite and no longer than the world, and what is moved by such.
+
+    What the drift does not tell, or carries further than that, is lost to the world anyway.
+    """
+    longest = np.array(window.cells).reshape(-1, *(1,) * p.ndim) + 3.0
+    sound = np.abs(move) <= longest
+    if sound.all():
+        return move, p
+    defined = np.broadcast_to(np.isfinite(move).all(axis=0), p.shape)
+    return np.clip(np.nan_to_num(move), -longest, longest), np.where(defined, p, 0.0)
 
 
 def _landed(window: Window, places: list[Array]) -> tuple[Integers, Integers]:
