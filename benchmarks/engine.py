@@ -244,10 +244,10 @@ _PLANE_NOTES = (
     'and the one with numpy and scipy alone run as if no compiler were there; ratios hold in '
     'turns, and the larger ones move with what else goes through the memory: the plain kernel of '
     '200 x 200 cells does not fit into a cache, everything of 62 x 62 cells does.',
-    'What bounds it now: about half of a compiled step on 62 x 62 cells are loops over cells, half '
-    "of these the kernel's weights out of the second-level cache and half the likelihood and its "
-    'exponential; the rest are calls and allocations in Python. With numpy and scipy alone it is '
-    'the two sparse products and the exponential.',
+    'What bounds it now: about half of a compiled step on 62 x 62 cells are loops over cells, '
+    "half of these the kernel's weights out of the second-level cache and half the likelihood and "
+    'its exponential; the rest are calls and allocations in Python. With numpy and scipy alone it '
+    'is the two sparse products and the exponential.',
     "Stone Soup's point mass filter takes 3,721 points and one linear model for all; it is "
     'the quickest of the others and the least accurate.')
 

@@ -276,7 +276,7 @@ def test_a_measurement_that_makes_a_sensor_fail_harms_its_target_alone(make, mon
 
 
 def test_targets_without_a_kernel_are_a_bank_too(make):
-    shared = {name: value for name, value in PLANE.items()} | {'filter.type': 'ekf'}
+    shared = {**PLANE, 'filter.type': 'ekf'}
     bank, exact = make(shared, own={'bravo': OWN}), alone(**{'filter.type': 'ekf'})
     for ms, x, y in TRACK:
         exact.observe(Measurement(T + ms * MS, 'main', (x, y)))

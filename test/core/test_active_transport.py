@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 from pif_ros.core.active import compiled
 from pif_ros.core.active.belief import ActiveBelief, Patch
-from pif_ros.core.active.transport import deposited, noise_kernel, heated, moved
+from pif_ros.core.active.transport import deposited, heated, moved, noise_kernel
 from pif_ros.core.active.window import Window
 from pif_ros.core.grid import Grid
 import pytest

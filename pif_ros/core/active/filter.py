@@ -11,8 +11,8 @@ from pif_ros.core.active.belief import ActiveBelief, Patch
 from pif_ros.core.active.compiled import warm_up
 from pif_ros.core.active.flow import flow, parting_rate
 from pif_ros.core.active.focus import fitted, focused
-from pif_ros.core.active.settings import RegionSettings
 from pif_ros.core.active.parting import MOST, moved_on_finer, parting
+from pif_ros.core.active.settings import RegionSettings
 from pif_ros.core.active.transport import Moves, Noise, SPREAD
 from pif_ros.core.active.window import Window
 from pif_ros.core.belief import GridBelief
