@@ -47,8 +47,8 @@ class Simulator(Node):
     """
     Publishes what the sources of a configuration would measure, `truth`, and `truth_state`.
 
-    For a model with inputs also what drives it, on the topic of the configuration's control.  Where
-    the node is told use_sim_time, it makes the time itself and publishes `/clock`: then the
+    For a model with inputs also what drives it, on the topic of the configuration's control.
+    Where the node is told use_sim_time, it makes the time itself and publishes `/clock`: then the
     stamps too are the same for the same seed.  given: settings that count above the parameters'.
     Raises ConfigError for what cannot be simulated.
     """
