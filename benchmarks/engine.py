@@ -119,9 +119,9 @@ def _entries() -> list[Entry]:
     sampled = KernelSettings(TIME_STEP, weights='sampled')
     players: list[tuple[str, str, Player, str]] = [
         (PLAIN, '200 x 200, tabulated, sampled', WithoutCompiler(200, sampled), PLAIN),
-        (NUMPY, '62 x 62', WithoutCompiler(62, split), PLAIN),
-        (COMPILED, '62 x 62', _described(62, split), PLAIN),
-        (f'{COMPILED}, single', '62 x 62', _described(62, single), PLAIN),
+        (NUMPY, '72 x 72', WithoutCompiler(72, split), PLAIN),
+        (COMPILED, '72 x 72', _described(72, split), PLAIN),
+        (f'{COMPILED}, single', '72 x 72', _described(72, single), PLAIN),
         (f'{COMPILED}, on as many cells', '200 x 200', _described(200, split), PLAIN),
         ('particles, bootstrap', '100,000 particles', Particles(100_000), COMPILED),
         ('Stone Soup particles', '100,000 particles', StoneSoupParticles(100_000), COMPILED),
@@ -243,8 +243,8 @@ _PLANE_NOTES = (
     'Whole steps: filter.predict and filter.correct as the tracker calls them. The plain filter '
     'and the one with numpy and scipy alone run as if no compiler were there; ratios hold in '
     'turns, and the larger ones move with what else goes through the memory: the plain kernel of '
-    '200 x 200 cells does not fit into a cache, everything of 62 x 62 cells does.',
-    'What bounds it now: about half of a compiled step on 62 x 62 cells are loops over cells, '
+    '200 x 200 cells does not fit into a cache, everything of 72 x 72 cells does.',
+    'What bounds it now: about half of a compiled step on 72 x 72 cells are loops over cells, '
     "half of these the kernel's weights out of the second-level cache and half the likelihood and "
     'its exponential; the rest are calls and allocations in Python. With numpy and scipy alone it '
     'is the two sparse products and the exponential.',
