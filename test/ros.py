@@ -29,6 +29,15 @@ ROOT = Path(__file__).resolve().parent.parent
 #: Seconds that something may take on a busy machine before it counts as not happening.
 PATIENCE = 30.0
 SECOND = 1_000_000_000
+#: A point in the plane that is seen where it is.
+PLANE = {
+    'model.name': 'position_2d', 'model.params.diffusion': 0.5,
+    'grid.lower': [-3.0, -4.0], 'grid.upper': [3.0, 4.0], 'grid.shape': [20, 24],
+    'prior.mean': [0.5, -0.5], 'prior.covariance_diagonal': [1.0, 2.0],
+    'kernel.time_step': 0.1, 'publish.rate': 0.0,
+    'measurements.main.topic': 'fix', 'measurements.main.type': 'geometry_msgs/msg/PointStamped',
+    'measurements.main.fields': ['point.x', 'point.y'], 'measurements.main.sensor': 'position',
+    'measurements.main.params.sigma': 0.3}
 
 DEEP = QoSProfile(depth=1000)
 _LATCHED = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)

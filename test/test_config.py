@@ -68,7 +68,7 @@ WRONG = [
     wrong('measurements.names', ['a', 'b'], 'one source', 'dfy', of={
         **SMALL, 'filter.type': 'dfy', 'measurements.a.topic': 'a', 'measurements.b.topic': 'b'}),
     wrong('operator.steps', 4, '1', 'particle', of={**SMALL, 'filter.type': 'particle'}),
-    wrong('operator.file', '/tmp/kernel', "''", 'dfy', of={**SMALL, 'filter.type': 'dfy'}),
+    wrong('operator.file', 'a.kernel', "''", 'dfy', of={**SMALL, 'filter.type': 'dfy'}),
     wrong('filter.significance', 0.5, '0', 'ekf', of={**SMALL, 'filter.type': 'ekf'}),
     # lengths
     wrong('grid.lower', [-6.0], '2 values', 'x1, x2'),

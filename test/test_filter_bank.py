@@ -8,7 +8,7 @@ from pif_ros.core.batch import Batch
 from pif_ros.core.tracker import Measurement, Tracker
 from pif_ros.filter_bank import FilterBank
 import pytest
-from ros import DEEP, nanoseconds, SECOND, stamp_into, write_parameters
+from ros import DEEP, nanoseconds, PLANE, SECOND, stamp_into, write_parameters
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 import yaml
@@ -16,14 +16,6 @@ import yaml
 T = 1_000 * SECOND
 MS = 1_000_000
 NAMES = ('alpha', 'bravo', 'charlie')
-PLANE = {
-    'model.name': 'position_2d', 'model.params.diffusion': 0.5,
-    'grid.lower': [-3.0, -4.0], 'grid.upper': [3.0, 4.0], 'grid.shape': [20, 24],
-    'prior.mean': [0.5, -0.5], 'prior.covariance_diagonal': [1.0, 2.0],
-    'kernel.time_step': 0.1, 'publish.rate': 0.0,
-    'measurements.main.topic': 'fix', 'measurements.main.type': 'geometry_msgs/msg/PointStamped',
-    'measurements.main.fields': ['point.x', 'point.y'], 'measurements.main.sensor': 'position',
-    'measurements.main.params.sigma': 0.3}
 #: What bravo has of its own.
 OWN = {'prior.mean': [-1.0, 1.0], 'measurements.main.params.sigma': 0.8}
 TRACK = [(0, 0.1, -0.2), (70, 0.3, 0.0), (200, -0.1, 0.4), (333, 0.4, 0.9), (1500, 0.6, 1.1)]

@@ -24,7 +24,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import ClockType
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from ros import DEEP, nanoseconds, Rig, SECOND, stamp_into
+from ros import DEEP, nanoseconds, PLANE, Rig, SECOND, stamp_into
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Range
 from std_msgs.msg import Float64MultiArray
@@ -35,14 +35,6 @@ T = 1_000 * SECOND
 MS = 1_000_000
 INFO = {'publication_sequence_number': None}
 
-PLANE = {
-    'model.name': 'position_2d', 'model.params.diffusion': 0.5,
-    'grid.lower': [-3.0, -4.0], 'grid.upper': [3.0, 4.0], 'grid.shape': [20, 24],
-    'prior.mean': [0.5, -0.5], 'prior.covariance_diagonal': [1.0, 2.0],
-    'kernel.time_step': 0.1, 'publish.rate': 0.0,
-    'measurements.main.topic': 'fix', 'measurements.main.type': 'geometry_msgs/msg/PointStamped',
-    'measurements.main.fields': ['point.x', 'point.y'], 'measurements.main.sensor': 'position',
-    'measurements.main.params.sigma': 0.3}
 #: The same from messages that may hold any number of values.
 LOOSE = {**PLANE, 'measurements.main.type': 'sensor_msgs/msg/JointState',
          'measurements.main.fields': ['position']}

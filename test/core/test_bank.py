@@ -4,7 +4,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 from pif_ros.core.bank import Bank, Member
-from pif_ros.core.batch import Batch
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
@@ -58,19 +57,6 @@ def test_each_target_is_what_it_is_alone_whoever_else_is_in_the_bank(arrivals, s
         assert_same_bits(estimate.belief, exact.belief)
         assert (estimate.stamp_ns, estimate.log_evidence, estimate.total_log_evidence) == (
             exact.stamp_ns, exact.log_evidence, exact.total_log_evidence)
-
-
-@pytest.fixture
-def products(monkeypatch):
-    """Return the numbers of targets in each product with several."""
-    widths, product = [], Batch._product
-
-    def counting(self, K, P, other):
-        widths.append(P.shape[1])
-        return product(self, K, P, other)
-
-    monkeypatch.setattr(Batch, '_product', counting)
-    return widths
 
 
 def refuse(*args):

@@ -103,19 +103,6 @@ def test_a_batch_of_one_camera_is_to_the_bit_what_each_is_alone(kind):
         assert_same_bits(found, filter_.predict(belief, 0, 7 * STEP + 3))
 
 
-@pytest.fixture
-def products(monkeypatch):
-    """Return the numbers of densities in each product, from now on."""
-    widths, product = [], Batch._product
-
-    def counting(self, K, P, other):
-        widths.append(P.shape[1])
-        return product(self, K, P, other)
-
-    monkeypatch.setattr(Batch, '_product', counting)
-    return widths
-
-
 @pytest.mark.parametrize(('spans', 'widths'), [
     ([(0, 3 * STEP)] * 5, [5, 5, 5]),
     ([(0, 2 * STEP + 1)] * 5, [5, 5, 5]),
