@@ -45,7 +45,8 @@ def belief_status(tracker: Tracker[Any]) -> Status:
     """
     newest = tracker.newest
     belief, names = newest.belief, tracker.filter.model.names
-    spread = np.sqrt(np.maximum(np.diag(belief.covariance()), 0.0))
+    # what has left the grid altogether has no width
+    spread = np.sqrt(np.maximum(np.diag(belief.covariance()), 0.0)) if belief.mass > 0 else ()
     values = {'mass': f'{belief.mass:.9f}'}
     for name, attribute in (('dropped', 'dropped'), ('cells', 'size')):
         if hasattr(belief, attribute):

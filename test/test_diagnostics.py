@@ -1,10 +1,12 @@
 """What the node says of itself: for a person, and true."""
 
 from collections import Counter
+import dataclasses
 
 import numpy as np
 from pif_ros.accounts import Accounts
 from pif_ros.core.active import ActiveGridFilter
+from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
@@ -68,6 +70,19 @@ def test_warns_when_most_of_the_belief_has_left_the_grid():
     belief = statuses(tracker, Accounts(['main']))[0]
     assert belief.level == WARN
     assert belief.message.endswith('% of it has left the grid')
+
+
+@pytest.mark.parametrize('filter_', [all_cells(), ActiveGridFilter(MODEL, GRID, SENSORS, 0.1)],
+                         ids=['all cells', 'active cells'])
+def test_a_belief_that_has_left_the_grid_altogether_is_told_of_too(filter_):
+    tracker = tracker_of(filter_)
+    nothing = (dataclasses.replace(filter_.uniform(), patches=())
+               if isinstance(filter_, ActiveGridFilter)
+               else GridBelief(GRID, np.zeros(GRID.shape)))
+    tracker.reset(nothing, 0)
+    belief = statuses(tracker, Accounts(['main']))[0]
+    assert (belief.level, belief.message) == (WARN, '100% of it has left the grid')
+    assert float(belief.values['mass']) == 0
 
 
 def test_tells_every_account_and_warns_of_what_was_dropped():
