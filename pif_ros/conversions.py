@@ -13,7 +13,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Pose, PoseWithCovariance, PoseWithCovarianceStamped
+from geometry_msgs.msg import Pose, PoseWithCovariance
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
 from numpy.typing import NDArray
@@ -127,9 +127,9 @@ def _path(message: Any, path: str) -> tuple[str | int, ...]:
     return tuple(steps)
 
 
-def pose_message(mean: Array, covariance: Array, axes: Sequence[int | None],
-                 unestimated_variance: float) -> PoseWithCovariance:
-    """Return a pose whose axes x, y, z, roll, pitch, yaw are the states of these indices."""
+def fill_pose(message: PoseWithCovariance, mean: Array, covariance: Array,
+              axes: Sequence[int | None], unestimated_variance: float) -> None:
+    """Write mean and covariance to a pose: x, y, z, roll, pitch, yaw are states of these axes."""
     values = np.zeros(6)
     full = np.diag(np.full(6, unestimated_variance))
     estimated = [(axis, state) for axis, state in enumerate(axes) if state is not None]
@@ -137,12 +137,12 @@ def pose_message(mean: Array, covariance: Array, axes: Sequence[int | None],
         values[axis] = mean[state]
         for other, other_state in estimated:
             full[axis, other] = covariance[state, other_state]
-    message = PoseWithCovariance(covariance=np.ascontiguousarray(full).reshape(36))
+    message.covariance = full.ravel()
     position, orientation = message.pose.position, message.pose.orientation
-    position.x, position.y, position.z = (float(v) for v in values[:3])
+    x, y, z, roll, pitch, yaw = values.tolist()
+    position.x, position.y, position.z = x, y, z
     (orientation.x, orientation.y, orientation.z,
-     orientation.w) = quaternion(*(float(v) for v in values[3:]))
-    return message
+     orientation.w) = quaternion(roll, pitch, yaw)
 
 
 def gaussian_from_pose(message: PoseWithCovariance, axes: Sequence[int | None], mean: Array,
@@ -191,13 +191,6 @@ def diagnostics_message(statuses: Sequence[Status], stamp_ns: int, node: str) ->
                                  for key, value in status.values.items()])
         for status in statuses]
     return msg
-
-
-def stamped(pose: PoseWithCovariance, stamp_ns: int, frame: str) -> PoseWithCovarianceStamped:
-    """Return a pose with its stamp and frame."""
-    message = PoseWithCovarianceStamped(pose=pose)
-    message.header.stamp, message.header.frame_id = stamp_from_ns(stamp_ns), frame
-    return message
 
 
 def density_message(belief: GridBelief, names: Sequence[str],

@@ -32,6 +32,9 @@ class Outputs:
             raise ConfigError("density.axes: expected names of states, got ''")
         self._density_axes = [axis for axis in shown if axis is not None]
         self._density_ns: int | None = None
+        # one for all, since to make it takes as long as to send it
+        self._pose = interface.POSE.type()
+        self._pose.header.frame_id = config.frame_id
         wanted = [interface.POSE, interface.POSE_UNSTAMPED, interface.DENSITY]
         if len(self._plane) == 2:
             wanted.append(interface.DENSITY_MAP)
@@ -40,13 +43,14 @@ class Outputs:
 
     def publish(self, belief: Any, stamp_ns: int) -> None:
         """Publish a belief that holds at a stamp; a density when it is due and on the grid."""
-        frame = self._config.frame_id
+        frame, message = self._config.frame_id, self._pose
         point = belief.mode() if self._live['pose.estimator'] == 'mode' else belief.mean()
-        pose = conversions.pose_message(point, belief.covariance(about=point), self.pose_axes,
-                                        self._config.pose.unestimated_variance)
-        self._publishers[interface.POSE].publish(conversions.stamped(pose, stamp_ns, frame))
+        conversions.fill_pose(message.pose, point, belief.covariance(about=point), self.pose_axes,
+                              self._config.pose.unestimated_variance)
+        message.header.stamp = conversions.stamp_from_ns(stamp_ns)
+        self._publishers[interface.POSE].publish(message)
         if self._is_heard(interface.POSE_UNSTAMPED):
-            self._publishers[interface.POSE_UNSTAMPED].publish(pose)
+            self._publishers[interface.POSE_UNSTAMPED].publish(message.pose)
         if not self._is_due(stamp_ns):
             return
         self._density_ns = stamp_ns

@@ -11,7 +11,7 @@ import sys
 import time
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped
 import numpy as np
 from pif_ros import conversions, parameters
 from pif_ros.config import (Config, ConfigError, ControlConfig, find_system, SourceConfig,
@@ -213,7 +213,8 @@ class Simulator(Node):
         """
         self._tick(stamp_ns - 1)
         state = self.scenario.truth[k]
-        pose = conversions.pose_message(state, np.zeros((len(state), len(state))), self._axes, 0.0)
+        pose = PoseWithCovariance()
+        conversions.fill_pose(pose, state, np.zeros((len(state), len(state))), self._axes, 0.0)
         truth = PoseStamped(pose=pose.pose)
         named = JointState(name=self._names, position=state.tolist())
         for message, publisher in ((truth, self._truth), (named, self._state)):

@@ -948,7 +948,7 @@ def test_a_callback_that_raises_is_told_and_counted_and_does_not_end_the_node(gr
         raise RuntimeError('two lines\nof it')
 
     with monkeypatch.context() as broken:
-        broken.setattr(conversions, 'pose_message', fail)
+        broken.setattr(conversions, 'fill_pose', fail)
         rig.send('fix', fix(*track()[1]))
         graph.until(lambda: rig.node.faults == 1, 'a fault')
     with monkeypatch.context() as broken:

@@ -81,15 +81,34 @@ class GridBelief:
     def _weights(self) -> Array:
         return self.density.ravel() / self.density.sum()
 
+    @cached_property
+    def _planes(self) -> dict[tuple[int, int], Array]:
+        """Return the probabilities over each pair of axes, a row for each cell of the first."""
+        n, total = self.grid.ndim, self.density.sum()
+        return {(i, j): self.density.sum(axis=tuple(k for k in range(n) if k not in (i, j)))
+                / total if n > 2 else self.density / total
+                for i in range(n) for j in range(i + 1, n)}
+
+    @cached_property
+    def _lines(self) -> list[Array]:
+        """Return the probabilities along each axis."""
+        last = self.grid.ndim - 1
+        if not last:
+            return [self._weights]
+        return [*(self._planes[i, last].sum(axis=1) for i in range(last)),
+                self._planes[0, last].sum(axis=0)]
+
     def mean(self) -> Array:
         """Return the mean, shape (n,); circular on periodic axes."""
-        grid, w = self.grid, self._weights
-        mean = grid.points @ w
-        for i, periodic in enumerate(grid.periodic):
-            if periodic:
+        grid = self.grid
+        mean = np.empty(grid.ndim)
+        for i, (x, w) in enumerate(zip(grid.axes, self._lines)):
+            if grid.periodic[i]:
                 low, period = grid.lower[i], grid.upper[i] - grid.lower[i]
-                angle = np.angle(np.exp(2j * np.pi * (grid.points[i] - low) / period) @ w)
+                angle = np.angle(np.exp(2j * np.pi * (x - low) / period) @ w)
                 mean[i] = low + (angle / (2 * np.pi) % 1.0) * period
+            else:
+                mean[i] = x @ w
         return mean
 
     def mode(self) -> Array:
@@ -98,9 +117,13 @@ class GridBelief:
 
     def covariance(self, about: ArrayLike | None = None) -> Array:
         """Return the second moments about a point (the mean where none is given), (n, n)."""
+        grid = self.grid
         point = self.mean() if about is None else np.asarray(about, dtype=float)
-        d = self.grid.wrap(self.grid.points - point[:, None])
-        return (d * self._weights) @ d.T
+        d = [grid.wrap_along(i, x - point[i]) for i, x in enumerate(grid.axes)]
+        moments = np.diag([w @ (part * part) for w, part in zip(self._lines, d)])
+        for (i, j), plane in self._planes.items():
+            moments[i, j] = moments[j, i] = d[i] @ plane @ d[j]
+        return moments
 
     def marginal(self, axes: Sequence[int]) -> GridBelief:
         """Return the density of some of the axes, in the order given."""

@@ -176,7 +176,6 @@ class DiracFeynmanFilter:
         if t < to_ns:
             yield t, self.kernel_at, (to_ns - t) / self._kernel_ns
 
-    @np.errstate(over='ignore', invalid='ignore')
     def correct(self, belief: GridBelief, y: ArrayLike, sensor: str,
                 at_ns: int) -> tuple[GridBelief, float]:
         """
@@ -189,8 +188,8 @@ class DiracFeynmanFilter:
         cells = self._significant(p)
         if cells is not None:
             p = p[cells]
-        log_l = self._likelihoods[sensor].log(np.asarray(y, dtype=float), p,
-                                              at_ns / NANOSECONDS, cells)
+        log_l = self._likelihoods[sensor].terms(np.asarray(y, dtype=float), p,
+                                                at_ns / NANOSECONDS, cells)
         found = posterior(p, log_l, self.grid.cell_volume)
         if found is None:
             return belief, -np.inf

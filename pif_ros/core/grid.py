@@ -83,11 +83,14 @@ class Grid:
         """Return differences of states (n, ...) taken the short way round on periodic axes."""
         if not any(self.periodic):
             return difference
-        wrapped = np.array(difference, dtype=float)
-        for i, low, high in self._circles():
-            period = high - low
-            wrapped[i] = (wrapped[i] + period / 2) % period - period / 2
-        return wrapped
+        return np.stack([self.wrap_along(i, part) for i, part in enumerate(difference)])
+
+    def wrap_along(self, axis: int, difference: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return differences of one of the states, any shape, the short way round."""
+        if not self.periodic[axis]:
+            return difference
+        period = self.upper[axis] - self.lower[axis]
+        return (difference + period / 2) % period - period / 2
 
     def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
         """Return whether states (n, ...) lie in the box; a periodic axis holds everything."""
@@ -102,7 +105,3 @@ class Grid:
         """Return the grid of some of the axes, in the order given."""
         return Grid(tuple(self.lower[i] for i in axes), tuple(self.upper[i] for i in axes),
                     tuple(self.shape[i] for i in axes), tuple(self.periodic[i] for i in axes))
-
-    def _circles(self) -> list[tuple[int, float, float]]:
-        return [(i, low, high) for i, (low, high, round_)
-                in enumerate(zip(self.lower, self.upper, self.periodic)) if round_]

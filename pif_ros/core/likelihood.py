@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor
-from pif_ros.core.posterior import log_likelihood
+from pif_ros.core.posterior import Terms
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -24,6 +24,7 @@ FINEST = {1: 32, 2: 8, 3: 4, 4: 3}
 SIGNIFICANT = 1e-9
 #: Points that are averaged over at a time.
 CHUNK = 1 << 16
+_NO_CELLS = np.zeros(0, dtype=np.intp), np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,16 +47,26 @@ class GridLikelihood:
 
         Where the sensor's function is undefined it is NaN.
         """
-        log_l = self._at_centres(y, t, slice(None) if cells is None else cells)
-        if self.average_cells:
-            width, coarse = self._widths(t)
-            if len(coarse):
-                places = coarse if cells is None else np.flatnonzero(width[cells] > RESOLVED)
-                places = places[density[places] > SIGNIFICANT * density.max()]
-                if len(places):
-                    log_l[places] = self._averaged(
-                        y, places if cells is None else cells[places], width, t)
-        return log_l
+        found = self.terms(y, density, t, cells)
+        return found.total() if isinstance(found, Terms) else found
+
+    def terms(self, y: Array, density: Array, t: float,
+              cells: Indices | None = None) -> Array | Terms:
+        """Return the same, by its terms where the sensor's residual is a difference."""
+        places, own = self._coarse(y, density, t, cells)
+        sensor = self.sensor
+        if sensor.time_dependent or callable(sensor.covariance) or any(sensor.angular):
+            x = self.grid.points if cells is None else self.grid.points[:, cells]
+            with np.errstate(over='ignore', invalid='ignore'):
+                log_l = sensor.log_likelihood(y, sensor.function(x, t), t)
+            log_l[places] = own
+            return log_l
+        # -|v - u|^2 / 2 = v u - |v|^2 / 2 - |u|^2 / 2, of which only the first needs both
+        origin, v, square = self._whitened
+        if cells is not None:
+            v, square = np.take(v, cells, axis=1), square[cells]
+        u = self._whiten @ y - origin
+        return Terms(u, v, square, self._log_constant - 0.5 * float(u @ u), places, own)
 
     def remarks(self, name: str) -> list[str]:
         """Return a sentence where some cells are wider than the likelihood."""
@@ -70,15 +81,19 @@ class GridLikelihood:
                 f'sensor {name!r} resolves, up to {float(width.max()):.1f} of its standard '
                 f'deviations; {cure}']
 
-    def _at_centres(self, y: Array, t: float, cells: Indices | slice) -> Array:
-        sensor = self.sensor
-        if sensor.time_dependent or callable(sensor.covariance) or any(sensor.angular):
-            return sensor.log_likelihood(y, sensor.function(self.grid.points[:, cells], t), t)
-        # -|v - u|^2 / 2 = v u - |v|^2 / 2 - |u|^2 / 2, of which only the first needs both
-        origin, v, square = self._whitened
-        u = self._whiten @ y - origin
-        return log_likelihood(u, v[:, cells], square[cells],
-                              self._log_constant - 0.5 * float(u @ u))
+    def _coarse(self, y: Array, density: Array, t: float,
+                cells: Indices | None) -> tuple[Indices, Array]:
+        """Return which of the cells are too wide for their centres, and their averages."""
+        if not self.average_cells:
+            return _NO_CELLS
+        width, coarse = self._widths(t)
+        if not len(coarse):
+            return _NO_CELLS
+        places = coarse if cells is None else np.flatnonzero(width[cells] > RESOLVED)
+        places = places[density[places] > SIGNIFICANT * density.max()]
+        if not len(places):
+            return _NO_CELLS
+        return places, self._averaged(y, places if cells is None else cells[places], width, t)
 
     @cached_property
     def _whiten(self) -> Array:
@@ -89,6 +104,7 @@ class GridLikelihood:
         return _log_constant(self._whiten)
 
     @cached_property
+    @np.errstate(over='ignore', invalid='ignore')
     def _whitened(self) -> tuple[Array, Array, Array]:
         """Return an origin (m,), the whitened h from there (m, size), and -|.|^2 / 2 of it."""
         v = self._whiten @ self.sensor.function(self.grid.points, 0.0)
@@ -107,6 +123,7 @@ class GridLikelihood:
     def _constant_widths(self) -> tuple[Array, Indices]:
         return self._measured_widths(0.0)
 
+    @np.errstate(over='ignore', invalid='ignore')
     def _measured_widths(self, t: float) -> tuple[Array, Indices]:
         sensor, x = self.sensor, self.grid.points
         whiten, centre = _whitening(sensor, t), sensor.function(x, t)
@@ -120,6 +137,7 @@ class GridLikelihood:
         width = np.nan_to_num(width, nan=0.0, posinf=0.0)
         return width, np.flatnonzero(width > RESOLVED)
 
+    @np.errstate(over='ignore', invalid='ignore')
     def _averaged(self, y: Array, cells: Indices, width: Array, t: float) -> Array:
         """Return the log of the likelihood's average over some cells."""
         count = min(math.ceil(width[cells].max()) + 1, FINEST[self.grid.ndim])

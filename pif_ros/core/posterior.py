@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,35 @@ ROUNDS = 1.5 * 2.0**52
 as_bits: Any = None
 as_number: Any = None
 weighed: Any = None
+held_tiles: Any = None
+corrected: Any = None
 
 
-def posterior(p: Array, log_l: Array, cell_volume: float) -> tuple[Array, float] | None:
+class Terms(NamedTuple):
+    """
+    A log likelihood by its terms: sum_i u_i v_i + square + constant, but in some places their own.
+
+    u: (m,); v: (m, size); square: (size,); places, own: (some,).
+    """
+
+    u: Array
+    v: Array
+    square: Array
+    constant: float
+    places: NDArray[np.intp]
+    own: Array
+
+    @np.errstate(over='ignore', invalid='ignore')
+    def total(self) -> Array:
+        """Return the log likelihood, (size,)."""
+        log_l: Array = self.u @ self.v
+        log_l += self.square
+        log_l += self.constant
+        log_l[self.places] = self.own
+        return log_l
+
+
+def posterior(p: Array, log_l: Array | Terms, cell_volume: float) -> tuple[Array, float] | None:
     """
     Return the density given a measurement, (size,), and the log evidence of it; None if neither.
 
@@ -38,20 +64,8 @@ def posterior(p: Array, log_l: Array, cell_volume: float) -> tuple[Array, float]
     """
     found = _compiled(p, log_l, cell_volume) if compiler.is_available() else None
     if found is None:
-        found = _plain(p, log_l, cell_volume)
+        found = _plain(p, log_l.total() if isinstance(log_l, Terms) else log_l, cell_volume)
     return found
-
-
-def log_likelihood(u: Array, v: Array, square: Array, constant: float) -> Array:
-    """Return sum_i u_i v_i + square + constant, for u (m,), v (m, size) and square (size,)."""
-    if compiler.is_available():
-        log_l = np.empty(len(square))
-        _loops()[1](u, np.ascontiguousarray(v, dtype=float), square, constant, log_l)
-        return log_l
-    log_l = u @ v
-    log_l += square
-    log_l += constant
-    return log_l
 
 
 def warm_up() -> None:
@@ -60,13 +74,18 @@ def warm_up() -> None:
         _loops()
 
 
-def _compiled(p: Array, log_l: Array, cell_volume: float) -> tuple[Array, float] | None:
-    result = np.empty(len(p))
-    peak, evidence = _loops()[0](np.ascontiguousarray(p, dtype=float),
-                                 np.ascontiguousarray(log_l, dtype=float), cell_volume, result)
+def _compiled(p: Array, log_l: Array | Terms,
+              cell_volume: float) -> tuple[Array, float] | None:
+    p, result = np.ascontiguousarray(p, dtype=float), np.empty(len(p))
+    if isinstance(log_l, Terms):
+        peak, evidence = _loops()[1](p, log_l.u, log_l.v, log_l.square, log_l.constant,
+                                     log_l.places, log_l.own, cell_volume, result)
+    else:
+        peak, evidence = _loops()[0](p, np.ascontiguousarray(log_l, dtype=float), cell_volume,
+                                     result)
     if not evidence > UNSAFE:
         return None
-    return result, float(peak + np.log(evidence * cell_volume))
+    return result, float(peak + math.log(evidence * cell_volume))
 
 
 @np.errstate(over='ignore', invalid='ignore')
@@ -99,52 +118,92 @@ def _log_joint(p: Array, log_l: Array) -> tuple[Array, float]:
 
 @cache
 def _loops() -> tuple[Callable[..., Any], ...]:
-    """Return the loops of the posterior and of the log likelihood, compiled."""
-    global as_bits, as_number, weighed
+    """Return the loops of the posterior from a log likelihood and from its terms, compiled."""
+    global as_bits, as_number, weighed, held_tiles, corrected
     numba = compiler.compiler()
     as_bits, as_number = _reinterpreted('int64'), _reinterpreted('float64')
     weighed = numba.njit(fastmath={'contract'})(_weighed)
+    held_tiles, corrected = (numba.njit(nogil=True, error_model='numpy')(loop)
+                             for loop in (_held_tiles, _corrected))
     kinds, one = numba.types, numba.types.float64
-    vector = one[::1]
-    read = kinds.Array(one, 1, 'C', readonly=True)
-    table = kinds.Array(one, 2, 'C', readonly=True)
-    return (numba.njit([(read, read, one, vector)], cache=True, nogil=True,
-                       error_model='numpy')(_posterior),
-            numba.njit([(read, table, read, one, vector)], cache=True, nogil=True)(_affine))
+    read, table, places = (kinds.Array(kind, ndim, 'C', readonly=True)
+                           for kind, ndim in ((one, 1), (one, 2), (kinds.intp, 1)))
+    make = partial(numba.njit, cache=True, nogil=True, error_model='numpy')
+    return (make([(read, read, one, one[::1])])(_from_logs),
+            make([(read, read, table, read, one, places, read, one, one[::1])])(_from_terms))
 
 
-def _posterior(p, log_l, cell_volume, result):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _from_logs(p, log_l, cell_volume, result):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Write the posterior, and return the largest log likelihood where p is, and the evidence."""
-    tiles = (p.size + 127) // 128
-    holds, best, sums = np.zeros(tiles, np.bool_), np.full(128, -np.inf), np.zeros(128)
-    for tile in range(tiles):
-        some, logs = p[128 * tile:128 * tile + 128], log_l[128 * tile:128 * tile + 128]
+    holds = held_tiles(p)
+    for tile in range(holds.size):
+        if holds[tile]:
+            result[128 * tile:128 * tile + 128] = log_l[128 * tile:128 * tile + 128]
+    return corrected(p, holds, cell_volume, result)
+
+
+def _from_terms(p, u, v, square, constant,  # type: ignore[no-untyped-def]
+                places, own, cell_volume, result):  # pragma: no cover
+    """Do the same for a log likelihood by its terms."""
+    holds = held_tiles(p)
+    for tile in range(holds.size):
+        if holds[tile]:
+            logs = result[128 * tile:128 * tile + 128]
+            some = square[128 * tile:128 * tile + 128]
+            for i in range(logs.size):
+                logs[i] = some[i] + constant
+            for j in range(u.size):
+                factor = v[j, 128 * tile:128 * tile + 128]
+                for i in range(logs.size):
+                    logs[i] += u[j] * factor[i]
+    for k in range(places.size):
+        result[places[k]] = own[k]
+    return corrected(p, holds, cell_volume, result)
+
+
+def _held_tiles(p):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Return which 128 cells hold anything."""
+    holds = np.zeros((p.size + 127) // 128, np.bool_)
+    for tile in range(holds.size):
+        some = p[128 * tile:128 * tile + 128]
         for i in range(some.size):
             if some[i] > 0:
                 holds[tile] = True
                 break
+    return holds
+
+
+def _corrected(p, holds, cell_volume, result):  # type: ignore[no-untyped-def]
+    # pragma: no cover
+    """Write the posterior over the log likelihood, which is there where a tile holds anything."""
+    best, sums = np.full(128, -np.inf), np.zeros(128)
+    for tile in range(holds.size):
         if holds[tile]:
+            some, logs = p[128 * tile:128 * tile + 128], result[128 * tile:128 * tile + 128]
             for i in range(some.size):
                 x = logs[i] if some[i] > 0 else -np.inf
                 best[i] = x if x > best[i] else best[i]
     peak = best.max()
     if not np.isfinite(peak):
         return peak, 0.0
-    for tile in range(tiles):
-        some, logs = p[128 * tile:128 * tile + 128], log_l[128 * tile:128 * tile + 128]
+    for tile in range(holds.size):
         joint = result[128 * tile:128 * tile + 128]
         if holds[tile]:
+            some = p[128 * tile:128 * tile + 128]
             for i in range(some.size):
-                joint[i] = weighed(some[i], logs[i] - peak)
+                joint[i] = weighed(some[i], joint[i] - peak)
             for i in range(some.size):
                 sums[i] += joint[i]
         else:
             joint[:] = 0.0
     evidence = sums.sum()
     scale = 1 / (evidence * cell_volume)
-    for i in range(p.size):
-        x = result[i] * scale - NEGLIGIBLE
-        result[i] = x if x > 0 else 0.0
+    for tile in range(holds.size):
+        if holds[tile]:
+            joint = result[128 * tile:128 * tile + 128]
+            for i in range(joint.size):
+                x = joint[i] * scale - NEGLIGIBLE
+                joint[i] = x if x > 0 else 0.0
     return peak, evidence
 
 
@@ -165,15 +224,6 @@ def _weighed(p, x):  # type: ignore[no-untyped-def]  # pragma: no cover
     power = (as_bits(p) >> 52) + as_bits(rounded) - as_bits(ROUNDS)
     whole = as_number((as_bits(rounded) << 52) + (1023 << 52))
     return p * (e * whole if power > 34 else 0.0)
-
-
-def _affine(u, v, square, constant, result):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Write sum_i u_i v_i + square + constant."""
-    for k in range(result.size):
-        result[k] = square[k] + constant + u[0] * v[0, k]
-    for i in range(1, u.size):
-        for k in range(result.size):
-            result[k] += u[i] * v[i, k]
 
 
 def _reinterpreted(kind: str) -> Any:

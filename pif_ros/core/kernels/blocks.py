@@ -107,6 +107,32 @@ class BlockFactor:
         return np.asarray(self.tocsr().toarray())
 
 
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Factors of few cells in one piece, which one call goes through: there it is what counts."""
+
+    weights: Weights
+    moves: NDArray[np.int32]
+    pointers: NDArray[np.int64]
+    reach: int
+
+    @classmethod
+    def of(cls, factors: Sequence[BlockFactor]) -> Chain:
+        """Return factors in one piece, the one that moves first in front."""
+        before = np.cumsum([0, *(len(factor.moves) for factor in factors[:-1])])
+        return cls(np.concatenate([factor.weights for factor in factors]),
+                   np.concatenate([factor.moves for factor in factors]),
+                   np.stack([factor.pointers + count for factor, count in zip(factors, before)]),
+                   max(factor.reach for factor in factors))
+
+    def __matmul__(self, density: Array) -> Array:
+        """Return what becomes of a vector (size,)."""
+        count, cells = self.pointers.shape
+        room = np.empty((2, loops.LANES * (cells - 1) + 2 * self.reach))
+        loops.move_all(self.weights, self.moves, self.pointers, density, self.reach, room)
+        return room[count % 2, self.reach:self.reach + len(density)]
+
+
 def compiled(array: sparse.csc_array) -> sparse.csc_array | BlockFactor:
     """Return an operator in blocks, or as it is where that would not make it faster."""
     if not compiler.is_available():

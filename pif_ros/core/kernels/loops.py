@@ -18,6 +18,7 @@ LANES = 8
 #: What the loops call: a compiler makes it, and they look for it here.
 add_products: Any = None
 receives: Any = None
+move_by: Any = None
 
 
 def blocks(indptr: NDArray[np.integer[Any]], indices: NDArray[np.integer[Any]],
@@ -38,6 +39,17 @@ def move(weights: Array, moves: NDArray[np.int32], pointers: NDArray[np.int64], 
          reach: int, result: Array) -> None:
     """Write a vector (reach + cells + reach,) after an operator in blocks to result."""
     _loops(weights.itemsize)[1](weights, moves, pointers, p, reach, result)
+
+
+def move_all(weights: Array, moves: NDArray[np.int32], pointers: NDArray[np.int64], p: Array,
+             reach: int, room: Array) -> None:
+    """
+    Write a vector (cells,) after one operator and another, in one call, to a row of room.
+
+    pointers: a row for each operator; room: (2, reach + cells + reach); the last row where the
+    operators are odd in number, else the first.
+    """
+    _loops(weights.itemsize)[5](weights, moves, pointers, p, reach, room)
 
 
 def move_mass(weights: Array, moves: NDArray[np.int32], pointers: NDArray[np.int64], p: Array,
@@ -73,20 +85,23 @@ def warm_up(size: int) -> None:
 
 @cache
 def _loops(size: int) -> tuple[Callable[..., Any], ...]:
-    """Return the loops that make blocks, move, move mass, find and narrow it, for 8 bytes or 4."""
-    global add_products, receives
+    """Return the loops that make blocks, move, move mass, find, narrow it and move on at once."""
+    global add_products, receives, move_by
     numba = compiler.compiler()
     kinds, make = numba.types, partial(numba.njit, cache=True, nogil=True, error_model='numpy')
     add_products, receives = _add_products(), make(_receives)
+    move_by = numba.njit(nogil=True, error_model='numpy')(_move)
     real = kinds.float64 if size == 8 else kinds.float32
     vector, table = real[::1], real[:, ::1]
     whole, narrow, count, share = kinds.int64[::1], kinds.int32[::1], kinds.int64, kinds.float64
-    operator, read = (table, narrow, whole), kinds.Array(share, 1, 'C', readonly=True)
+    operator, whole_rows = (table, narrow, whole), kinds.int64[:, ::1]
+    read = kinds.Array(share, 1, 'C', readonly=True)
     return (make([(whole, narrow, vector, *operator[::-1])])(_fill),
             make([(*operator, vector, count, vector)])(_move),
             make([(*operator, vector, count, narrow, vector, narrow)])(_move_mass),
             make([(vector, share, vector, narrow)])(_holding),
-            make([(read, share, vector)])(_narrow))
+            make([(read, share, vector)])(_narrow),
+            make([(table, narrow, whole_rows, read, count, table)])(_move_all))
 
 
 def _fill(indptr, indices, data, pointers, moves, weights):  # type: ignore[no-untyped-def]
@@ -140,6 +155,16 @@ def _move(weights, moves, pointers, p, reach, result):  # type: ignore[no-untype
     for block in range(blocks):
         add_products(result, reach + 8 * block, weights, moves, pointers[block],
                      pointers[block + 1], p)
+
+
+def _move_all(weights, moves, pointers, p, reach, room):  # type: ignore[no-untyped-def]
+    # pragma: no cover
+    """Write a vector after all operators, each from one row of room to the other."""
+    room[0, :reach] = 0
+    room[0, reach:reach + p.size] = p
+    room[0, reach + p.size:] = 0
+    for k in range(pointers.shape[0]):
+        move_by(weights, moves, pointers[k], room[k % 2], reach, room[(k + 1) % 2])
 
 
 def _move_mass(weights, moves, pointers, p, reach, held,  # type: ignore[no-untyped-def]

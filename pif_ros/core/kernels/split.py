@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.grid import Grid
-from pif_ros.core.kernels.blocks import BlockFactor, compiled, product
+from pif_ros.core.kernels.blocks import BlockFactor, Chain, compiled, product, SPARED
 from pif_ros.core.kernels.directions import integer_directions
 from pif_ros.core.kernels.lattice import FAR, Integers, strides_of, variance_in_cells, whole_cells
 from pif_ros.core.kernels.settings import KernelSettings
@@ -65,6 +65,8 @@ class SplitKernel:
 
     def __matmul__(self, density: Any) -> Any:
         """Return the densities (size,) or (size, targets) after the step."""
+        if density.ndim == 1 and self._chain is not None:
+            return self._chain @ density
         if self.factors[0].dtype == np.float64:
             return self._moved(density)
         shares, densest = narrow(density)
@@ -86,6 +88,15 @@ class SplitKernel:
         for factor in self.factors:
             p = factor @ p
         return p
+
+    @cached_property
+    def _chain(self) -> Chain | None:
+        """Return the factors in one piece, None where that is not worth their copy."""
+        factors = [factor for factor in self.factors if isinstance(factor, BlockFactor)]
+        if (len(factors) < len(self.factors) or factors[0].dtype != np.float64
+                or factors[0].size >= SPARED):
+            return None
+        return Chain.of(factors)
 
     @cached_property
     def _in_blocks(self) -> bool:
