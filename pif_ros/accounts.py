@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 import time
+
+from pif_ros.traffic import Traffic
 
 
 @dataclass
@@ -13,14 +15,37 @@ class SourceAccount:
     """
     One topic's messages: received = accepted + rejected (by reason) + dropped + queued.
 
-    outliers: those of the accepted that the belief hardly allowed.
+    outliers: those of the accepted that the belief hardly allowed; lost: what was published, by
+    the publisher's count, and never came; traffic: how the last of them came in.
     """
 
     received: int = 0
     accepted: int = 0
     dropped: int = 0
     outliers: int = 0
+    lost: int = 0
     rejected: Counter[str] = field(default_factory=Counter)
+    traffic: Traffic = field(default_factory=Traffic)
+
+    def reject(self, reason: str) -> None:
+        """Count a message that cannot be used."""
+        self.rejected[reason] += 1
+        self.traffic.refuse()
+
+    def drop(self) -> None:
+        """Count a message that waited too long."""
+        self.dropped += 1
+        self.traffic.refuse()
+
+    def lose(self, count: int) -> None:
+        """Count messages that never came."""
+        self.lost += count
+        self.traffic.refuse(count)
+
+    def accept(self, stamp_ns: int) -> None:
+        """Count a message that was put where it belongs."""
+        self.accepted += 1
+        self.traffic.accept(stamp_ns)
 
     def __str__(self) -> str:
         """Return the account in a line."""
@@ -28,7 +53,8 @@ class SourceAccount:
         return (f'{self.received} received, {self.accepted} accepted'
                 f'{f" ({self.outliers} outliers)" if self.outliers else ""}, '
                 f'{self.rejected.total()} rejected{f" ({reasons})" if reasons else ""}, '
-                f'{self.dropped} dropped')
+                f'{self.dropped} dropped'
+                f'{f", {self.lost} lost before" if self.lost else ""}')
 
 
 class Accounts:
@@ -38,6 +64,12 @@ class Accounts:
         self.sources = {name: SourceAccount() for name in names}
         self.control = SourceAccount() if inputs else None
         self.initial_pose = SourceAccount()
+
+    def __iter__(self) -> Iterator[SourceAccount]:
+        """Give the account of each source, and that of the control where there is one."""
+        yield from self.sources.values()
+        if self.control is not None:
+            yield self.control
 
     def __str__(self) -> str:
         """Return all accounts in a line."""

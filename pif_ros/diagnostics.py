@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from pif_ros.accounts import Accounts, SourceAccount
+from pif_ros.config import DiagnosticsConfig
+from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import Tracker
+from pif_ros.stopwatch import resident_bytes
 
-OK, WARN = 0, 1
-#: A belief that has so little of its mass left is more off the grid than on it.
-MOSTLY_GONE = 0.5
+OK, WARN, ERROR = 0, 1, 2
+MS, MB = 1e3, 1e6
+Limits = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -25,18 +28,69 @@ class Status:
     values: Mapping[str, str]
 
 
-def statuses(tracker: Tracker[Any], accounts: Accounts) -> list[Status]:
-    """Return what is to be said now: of the belief, and of each source."""
-    found = [belief_status(tracker)]
-    found += [source_status(name, account) for name, account in accounts.sources.items()]
+@dataclass(frozen=True)
+class Facts:
+    """
+    What is known of a node at a moment.
+
+    now_ns: None before there is a /clock; since_ns: when it began to listen; times: median and
+    longest in seconds by kind of work; busy: share of the time that the work took; skipped: poses
+    that the timer owed; behind: seconds for which there was more to do than could be done; faults:
+    callbacks that failed; restarts: how often the belief was begun anew, and why at last.
+    """
+
+    tracker: Tracker[Any]
+    accounts: Accounts
+    limits: DiagnosticsConfig
+    now_ns: int | None
+    since_ns: int
+    times: Mapping[str, tuple[float, float]]
+    busy: float = 0.0
+    skipped: int = 0
+    behind: float = 0.0
+    faults: int = 0
+    restarts: int = 0
+    why: str = ''
+
+
+def statuses(facts: Facts) -> list[Status]:
+    """Return what is to be said now: of the filter, its belief, its sources and its time."""
+    accounts = facts.accounts
+    found = [filter_status(facts), belief_status(facts.tracker, facts.limits)]
+    found += [source_status(name, account, facts) for name, account in accounts.sources.items()]
     if accounts.control is not None:
-        found.append(source_status('control', accounts.control))
+        found.append(source_status('control', accounts.control, facts))
     if accounts.initial_pose.received:
-        found.append(source_status('initialpose', accounts.initial_pose))
-    return found
+        found.append(source_status('initialpose', accounts.initial_pose, facts, quiet=True))
+    return [*found, timing_status(facts)]
 
 
-def belief_status(tracker: Tracker[Any]) -> Status:
+def filter_status(facts: Facts) -> Status:
+    """Return whether the filter does what it is for, and since when it begins anew."""
+    newest_ns, limits = facts.tracker.stamp_ns, facts.limits
+    values = {'model': f'{len(facts.tracker.filter.model.names)} states: '
+                       f'{", ".join(facts.tracker.filter.model.names)}',
+              'faults': str(facts.faults), 'restarts': str(facts.restarts)}
+    if facts.why:
+        values['last restart'] = facts.why
+    if facts.now_ns is None:
+        return Status('filter', WARN, 'waits for a /clock', values)
+    if newest_ns is None:
+        return Status('filter', OK, 'waits for a measurement', values)
+    age = (facts.now_ns - newest_ns) / NANOSECONDS
+    values |= {'newest stamp': f'{newest_ns / NANOSECONDS:.3f}', 'its age': _seconds(age)}
+    if facts.behind:
+        return Status('filter', _level(facts.behind, limits.max_age),
+                      f'behind for {facts.behind:.1f} s, {facts.tracker.backlog} corrections left',
+                      values)
+    level = _level(age, limits.max_age)
+    text = 'tracks' if level == OK else f'no measurement for {age:.1f} s: predicts only'
+    if facts.faults and level == OK:
+        level, text = WARN, f'tracks, after {facts.faults} faults (the log tells)'
+    return Status('filter', level, text, values)
+
+
+def belief_status(tracker: Tracker[Any], limits: DiagnosticsConfig) -> Status:
     """
     Return what the newest belief is like.
 
@@ -45,29 +99,85 @@ def belief_status(tracker: Tracker[Any]) -> Status:
     """
     newest = tracker.newest
     belief, names = newest.belief, tracker.filter.model.names
-    # what has left the grid altogether has no width
-    spread = np.sqrt(np.maximum(np.diag(belief.covariance()), 0.0)) if belief.mass > 0 else ()
     values = {'mass': f'{belief.mass:.9f}'}
     for name, attribute in (('dropped', 'dropped'), ('cells', 'size')):
         if hasattr(belief, attribute):
             values[name] = f'{getattr(belief, attribute):.3g}'
     if hasattr(belief, 'patches'):
         values['patches'] = str(len(belief.patches))
-    values.update({f'standard deviation of {name}': f'{float(s):.6g}'
-                   for name, s in zip(names, spread)})
     values['log evidence of the newest measurement'] = f'{newest.log_evidence:.4g}'
+    if not belief.mass > 0:
+        return Status('belief', ERROR, 'all of it has left the grid', values)
+    spread = np.sqrt(np.maximum(np.diag(belief.covariance()), 0.0))
+    values |= {f'standard deviation of {name}': f'{float(s):.6g}'
+               for name, s in zip(names, spread)}
     if newest.stamp_ns is None:
         return Status('belief', OK, 'the prior, which waits for a measurement', values)
-    if belief.mass < MOSTLY_GONE:
-        return Status('belief', WARN, f'{1 - belief.mass:.0%} of it has left the grid', values)
-    return Status('belief', OK, 'on the grid', values)
+    lost = 1 - belief.mass
+    level = _level(lost, limits.max_lost_mass)
+    return Status('belief', level, 'on the grid' if level == OK else
+                  f'{lost:.0%} of it has left the grid', values)
 
 
-def source_status(name: str, account: SourceAccount) -> Status:
-    """Return what became of a source's messages."""
+def source_status(name: str, account: SourceAccount, facts: Facts,
+                  quiet: bool = False) -> Status:
+    """Return what became of a source's messages; quiet: whether it may be silent for ever."""
+    traffic, limits, now_ns = account.traffic, facts.limits, facts.now_ns
     values = {'received': account.received, 'accepted': account.accepted,
               'outliers': account.outliers, 'dropped': account.dropped,
-              **{f'rejected, {reason}': count for reason, count in account.rejected.items()}}
-    text = 'nothing received yet' if not account.received else str(account)
-    return Status(name, WARN if account.dropped else OK, text,
-                  {key: str(value) for key, value in values.items()})
+              **{f'rejected, {reason}': count for reason, count in account.rejected.items()},
+              'lost before us': account.lost}
+    words = {key: str(value) for key, value in values.items()} | dict(_traffic(account, now_ns))
+    concerns = [(OK, str(account) if account.received else 'nothing received yet')]
+    if now_ns is not None and not quiet:
+        silence = traffic.silence(now_ns, facts.since_ns)
+        concerns.append((_level(silence, limits.max_age), f'silent for {silence:.1f} s'))
+    if traffic.delay is not None:
+        concerns.append((_level(traffic.delay, limits.max_delay),
+                         f'its stamps are {traffic.delay:.2f} s old when they come'))
+    concerns.append((_level(traffic.refused, limits.max_refused),
+                     f'{traffic.refused:.0%} of the last were not taken or never came: {account}'))
+    level, text = max(concerns, key=lambda concern: concern[0])
+    return Status(name, level, text, words)
+
+
+def timing_status(facts: Facts) -> Status:
+    """Return how long the work takes, and how much of the time."""
+    tracker = facts.tracker
+    values = {f'{kind}, ms (median, longest)': f'{MS * middle:.2f}, {MS * longest:.2f}'
+              for kind, (middle, longest) in facts.times.items()}
+    values |= {'busy': f'{facts.busy:.0%}', 'poses skipped': str(facts.skipped),
+               'beliefs kept': f'{tracker.kept} ({tracker.nbytes / MB:.1f} MB)'}
+    memory = resident_bytes()
+    if memory is not None:
+        values['memory of the process'] = f'{memory / MB:.0f} MB'
+    level = _level(facts.busy, facts.limits.max_busy)
+    return Status('timing', level, f'busy for {facts.busy:.0%} of the time' + (
+        '' if level == OK else ': it cannot keep up for long'), values)
+
+
+def _traffic(account: SourceAccount, now_ns: int | None) -> Iterator[tuple[str, str]]:
+    """Give how messages come in, as far as it is known."""
+    traffic = account.traffic
+    if traffic.rate is not None:
+        yield 'rate', f'{traffic.rate:.3g} Hz'
+    if now_ns is not None and (age := traffic.age(now_ns)) is not None:
+        yield 'age of the newest', _seconds(age)
+    if traffic.delay is not None:
+        yield 'delay', _seconds(traffic.delay)
+    if traffic.skew is not None:
+        yield 'clock less stamp at the first message', _seconds(traffic.skew)
+    if traffic.log_evidence:
+        found = np.array(traffic.log_evidence)
+        yield (f'log evidence of the last {len(found)} (mean, least)',
+               f'{found.mean():.4g}, {found.min():.4g}')
+
+
+def _level(value: float, limits: Limits) -> int:
+    """Return WARN from the first limit on, ERROR from the second on."""
+    warn, error = limits
+    return ERROR if value >= error else WARN if value >= warn else OK
+
+
+def _seconds(value: float) -> str:
+    return f'{value:.3f} s'

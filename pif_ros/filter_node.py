@@ -9,19 +9,22 @@ import time
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from pif_ros import conversions, diagnostics, interface, parameters
+from pif_ros import conversions, interface, parameters
 from pif_ros.accounts import Accounts, Throttle
 from pif_ros.config import build_tracker, ConfigError, describe, find_grid, find_system
 from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import Estimate, Tracker
+from pif_ros.diagnostics import Facts
+from pif_ros.health import Health
 from pif_ros.inbox import Inbox
 from pif_ros.outputs import Outputs
 from pif_ros.process import guarded
 from pif_ros.sources import ControlSource, Inlet, Refused, Source
+from pif_ros.stopwatch import Stopwatch, TimedFilter
+from pif_ros.timekeeper import ClockSet, Timekeeper
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockChange, ClockType, JumpThreshold, TimeJump
-from rclpy.duration import Duration
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, ParameterUninitializedException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -53,14 +56,24 @@ class FilterNode(Node):
         self.tracker = self._make_tracker()
         self.accounts = Accounts(self.config.measurements.names, self.tracker.filter.model.inputs)
         self.inbox = Inbox(self.tracker, self.accounts, self.config, self.report)
-        self.faults = 0
+        self.faults = self.skipped = self.restarts = 0
+        self.watch = Stopwatch()
+        self._why = ''
         self._throttle = Throttle()
         self._published_ns = -1
         self._next_forecast = 0.0
         self._took = math.inf
         self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
+        self._since_ns = 0
+        self._time = Timekeeper(self, round(self.config.time.max_ahead * NANOSECONDS),
+                                self._on_clock_set)
+        self._health = Health(self, self.config.diagnostics.rate, self.facts,
+                              self._on_diagnostics)
         self._live: dict[str, Any] = {'pose.estimator': self.config.pose.estimator,
-                                      'density.rate': self.config.density.rate}
+                                      'density.rate': self.config.density.rate,
+                                      **{f'measurements.{name}.enabled': source.enabled
+                                         for name, source
+                                         in self.config.measurements.sources.items()}}
         model = find_system(self.config).model
         self._outputs = Outputs(self, self.config, model, find_grid(self.config, model),
                                 self._live)
@@ -72,22 +85,26 @@ class FilterNode(Node):
     @guarded
     def _on_message(self, inlet: Source | ControlSource, msg: Any,
                     info: Mapping[str, Any]) -> None:
-        inlet.account.received += 1
+        account, now_ns = inlet.account, self._now()
+        account.received += 1
         lost = inlet.lost(info['publication_sequence_number'])
         if lost and self.count_publishers(self.resolve_topic_name(inlet.topic)) == 1:
             # several publishers count each for themselves, and which one sent is not told
-            inlet.account.received += lost
-            inlet.account.dropped += lost
-            self.report(f'{inlet.name}: DDS',
-                        f'{inlet.name}: the queue in DDS dropped {lost} {inlet.what}s')
+            account.lose(lost)
+            self.report(f'{inlet.name}: lost', f'{inlet.name}: {lost} {inlet.what}s were lost '
+                        'before they came here, such as in a full queue of DDS')
         try:
-            item = inlet.item(msg, self._now(), self._arrival(info))
+            if not self._live.get(f'{inlet.prefix}.enabled', True):
+                raise Refused('disabled', f'{inlet.prefix}.enabled is false')
+            item = inlet.item(msg, now_ns, self._arrival(info))
         except Refused as refused:
+            account.traffic.arrive(now_ns or 0)
             self.inbox.reject(inlet, refused.reason, str(refused))
             return
         except Exception:
-            inlet.account.rejected['fault'] += 1
+            account.reject('fault')
             raise
+        account.traffic.arrive(now_ns or 0, item.stamp_ns if inlet.is_stamped else None)
         alone = not self.inbox.has_work
         self.inbox.put(inlet, item)
         if alone and self._took < AT_ONCE:
@@ -115,32 +132,38 @@ class FilterNode(Node):
                 msg.pose, self._outputs.pose_axes, prior.mean(), prior.covariance())
             belief = self.tracker.filter.gaussian(mean, covariance)
         except ValueError as error:
-            account.rejected['no belief'] += 1
+            account.reject('no belief')
             self.report('initialpose', f'initialpose: {error}')
             return
-        account.accepted += 1
-        self._restart(belief, stamp_ns)
+        account.accept(stamp_ns)
+        self._restart(belief, stamp_ns, 'initialpose')
         self._publish(self.tracker.estimate())
 
     @guarded
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._restart(None, None)
+        self._restart(None, None, '~/reset')
         response.success, response.message = True, 'the prior holds at the next measurement'
         return response
 
     @guarded
     def _on_global(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
-        self._restart(self.tracker.filter.uniform(), None)
+        self._restart(self.tracker.filter.uniform(), None, 'reinitialize_global_localization')
         return response
 
     @guarded
-    def _on_jump(self, jump: TimeJump) -> None:
-        if jump.delta.nanoseconds >= 0 and jump.clock_change == ClockChange.ROS_TIME_NO_CHANGE:
+    def _on_clock_set(self, clock: ClockSet) -> None:
+        self.get_logger().info(clock.text)
+        if clock.goes_on and not clock.by_ns:
             return
-        self.get_logger().info(f'the clock jumped by {jump.delta.nanoseconds / NANOSECONDS:.3f} s:'
-                               ' back to the prior')
+        self.inbox.drain()
+        newest = self.tracker.estimate() if clock.goes_on else None
         self._published_ns = -1
-        self._restart(None, None)
+        for account in self.accounts:
+            account.traffic.restart()
+        if newest is None or newest.stamp_ns is None:
+            self._restart(None, None, clock.text)
+        else:
+            self._restart(newest.belief, newest.stamp_ns + clock.by_ns, clock.text)
 
     def _on_parameters(self, changes: list[Parameter]) -> SetParametersResult:
         try:
@@ -154,31 +177,45 @@ class FilterNode(Node):
     @guarded
     def _work(self) -> None:
         began = time.monotonic()
-        try:
-            estimate = self.inbox.work()
-        finally:
-            if self.inbox.has_work:
-                self._wake.trigger()
-        if estimate is not None:
-            self._publish(estimate)
+        with self.watch.timing('work'):
+            try:
+                estimate = self.inbox.work()
+            finally:
+                if self.inbox.has_work:
+                    self._wake.trigger()
+            if estimate is not None:
+                self._publish(estimate)
         self._took = time.monotonic() - began
 
     @guarded
     def _on_timer(self) -> None:
         now_ns = self._now()
-        if now_ns is not None and self.is_due(now_ns) and time.monotonic() >= self._next_forecast:
-            began = time.monotonic()
+        if now_ns is None or not self.is_due(now_ns):
+            return
+        began = time.monotonic()
+        if began < self._next_forecast:
+            self.skipped += 1
+            return
+        with self.watch.timing('forecast'):
             self._publish(self.tracker.forecast(now_ns))
-            took = FORECASTS_TAKE * (time.monotonic() - began)
-            if took * self.config.publish.rate > 1:
-                self._next_forecast = began + took
+        took = FORECASTS_TAKE * (time.monotonic() - began)
+        if took * self.config.publish.rate > 1:
+            self._next_forecast = began + took
 
     @guarded
     def _on_diagnostics(self) -> None:
-        now_ns = self.get_clock().now().nanoseconds
-        self._diagnostics.publish(conversions.diagnostics_message(
-            diagnostics.statuses(self.tracker, self.accounts), now_ns,
-            self.get_fully_qualified_name()))
+        self._now()
+        self._health.tell()
+
+    def facts(self) -> Facts:
+        """Return what is known of the node now."""
+        since, now_ns = self.inbox.behind_since, self.get_clock().now().nanoseconds or None
+        self._since_ns = self._since_ns or now_ns or 0
+        return Facts(self.tracker, self.accounts, self.config.diagnostics, now_ns, self._since_ns,
+                     self.watch.summary(), self.watch.busy(), self.skipped,
+                     time.monotonic() - since if since else 0.0, self.faults,
+                     self.restarts + self.inbox.gaps,
+                     self._why)
 
     def is_due(self, now_ns: int) -> bool:
         """Return whether a pose is to be predicted to now."""
@@ -196,7 +233,9 @@ class FilterNode(Node):
         """Account for what still waits."""
         self.inbox.drain()
 
-    def _restart(self, belief: Any, stamp_ns: int | None) -> None:
+    def _restart(self, belief: Any, stamp_ns: int | None, why: str) -> None:
+        self.restarts += 1
+        self._why = why
         self._outputs.restart()
         self.inbox.restart(belief, stamp_ns)
 
@@ -213,11 +252,13 @@ class FilterNode(Node):
             estimate = self.tracker.forecast(stamp_ns)
         belief = estimate.belief
         if not belief.mass > 0:
-            self.report('off the grid', 'all of the belief has left the grid: back to the prior')
-            self._restart(None, None)
+            text = 'all of the belief has left the grid: back to the prior'
+            self.report('off the grid', text)
+            self._restart(None, None, text)
             return
         self._published_ns = stamp_ns
-        self._outputs.publish(belief, stamp_ns)
+        with self.watch.timing('publish'):
+            self._outputs.publish(belief, stamp_ns)
 
     def _is_left_to_the_timer(self, stamp_ns: int) -> bool:
         """Return whether an estimate lies so far back that predicting each to now takes long."""
@@ -230,6 +271,11 @@ class FilterNode(Node):
         line = self._throttle.line(kind, text)
         if line is not None:
             self.get_logger().warning(line)
+            self._look()
+
+    @guarded
+    def _look(self) -> None:
+        self._health.look()
 
     # How it is set up
 
@@ -283,17 +329,12 @@ class FilterNode(Node):
                                   (interface.GLOBAL, self._on_global)):
             self.create_service(service.type, service.name, callback)
         self.add_on_set_parameters_callback(self._on_parameters)
-        told = interface.DIAGNOSTICS
-        self._diagnostics = self.create_publisher(told.type, told.name, told.qos)
-        self.create_timer(1.0, self._on_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._jump = self.get_clock().create_jump_callback(
-            JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1)),
-            post_callback=self._on_jump)
         self._start()
 
     def _start(self) -> None:
         """Let the work be done when there is some."""
         self._wake = self.create_guard_condition(self._work)
+        self.tracker.filter = TimedFilter(self.tracker.filter, self.watch)
         if self.config.publish.rate:
             self.create_timer(1 / self.config.publish.rate, self._on_timer,
                               clock=self.forecast_clock())
@@ -301,8 +342,8 @@ class FilterNode(Node):
     def forecast_clock(self) -> Clock:
         """Return the clock by which poses are predicted to now."""
         # a timer on the system's clock stands still when that clock is set back
-        simulated = self.get_parameter('use_sim_time').value
-        return self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        return (self.get_clock() if self._time.is_simulated
+                else Clock(clock_type=ClockType.STEADY_TIME))
 
     def _listen(self, inlet: Inlet, known: dict[str, Any]) -> None:
         """Subscribe to an inlet, given the types of the topics that are known so far."""
@@ -320,10 +361,10 @@ class FilterNode(Node):
 
     def _arrival(self, info: Mapping[str, Any]) -> int | None:
         """Return when a message arrived, None where the node does not live in that time."""
-        if self.get_parameter('use_sim_time').value:
+        if self._time.is_simulated:
             return None
         return info.get('received_timestamp') or None
 
     def _now(self) -> int | None:
         """Return the time in nanoseconds, None before there is a /clock."""
-        return int(self.get_clock().now().nanoseconds) or None
+        return self._time.now()

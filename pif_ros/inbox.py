@@ -32,7 +32,7 @@ class Inbox:
     A bounded queue of measurements and controls before a tracker; each is accounted for.
 
     report: called with a kind and a line where something is worth a warning; slice: corrections
-    made by one work().
+    made by one work(); gaps: how often the prior held again after one.
     """
 
     def __init__(self, tracker: Tracker[Any], accounts: Accounts, config: Config,
@@ -40,6 +40,7 @@ class Inbox:
         self.queue: deque[tuple[Inlet, Measurement | Control]] = deque()
         self.behind_since: float | None = None
         self.slice = SLICE
+        self.gaps = 0
         self._tracker, self._accounts, self._report = tracker, accounts, report
         self._longest = config.measurements.queue_length
         self._max_gap_ns = round(config.time.max_gap * NANOSECONDS)
@@ -57,7 +58,7 @@ class Inbox:
         """Let a message wait; the oldest of a full queue is dropped."""
         if len(self.queue) >= self._longest:
             oldest, _ = self.queue.popleft()
-            oldest.account.dropped += 1
+            oldest.account.drop()
             self._report('dropped',
                          f'{oldest.name}: dropped the oldest {oldest.what} of a full queue')
         self.queue.append((inlet, item))
@@ -65,7 +66,7 @@ class Inbox:
 
     def reject(self, inlet: Inlet, reason: str, sentence: str) -> None:
         """Count a message that cannot be used, and tell why."""
-        inlet.account.rejected[reason] += 1
+        inlet.account.reject(reason)
         self._report(f'{inlet.name}: {reason}', f'{inlet.name}: rejected a {inlet.what}: '
                      f'{sentence}')
 
@@ -87,7 +88,7 @@ class Inbox:
         except CorrectionFailed as failed:
             account = self._account_of(failed.measurement)
             account.accepted -= 1
-            account.rejected['fault'] += 1
+            account.reject('fault')
             self._unjudged.discard(failed.measurement)
             raise
         finally:
@@ -117,7 +118,7 @@ class Inbox:
                 self.reject(inlet, rejection.value, f'{rejection.value}, '
                             f'{behind / NANOSECONDS:.3f} s behind the newest')
                 continue
-            inlet.account.accepted += 1
+            inlet.account.accept(item.stamp_ns)
             if isinstance(item, Measurement):
                 self._unjudged.add(item)
                 self._news = True
@@ -141,6 +142,7 @@ class Inbox:
             gap = (measurement.stamp_ns - newest_ns) / NANOSECONDS
             self._report('gap', f'{measurement.source}: a gap of {gap:.0f} s, more than '
                          'time.max_gap: back to the prior')
+            self.gaps += 1
             self._unjudged.clear()
             self._tracker.reset()
 
@@ -151,6 +153,7 @@ class Inbox:
             if measurement not in self._unjudged:
                 continue
             self._unjudged.remove(measurement)
+            self._account_of(measurement).traffic.log_evidence.append(made.log_evidence)
             if surprise < OUTLIER:
                 self._account_of(measurement).outliers += 1
                 self._report(f'{measurement.source}: outlier', f'{measurement.source}: ' + (

@@ -52,7 +52,7 @@ class Inlet:
             self._read = conversions.field_reader(self.type, config.fields)
         except ValueError as error:
             raise ConfigError(f'{prefix}.fields: {error}') from None
-        self._stamped = conversions.has_header(self.type)
+        self.is_stamped = conversions.has_header(self.type)
         self._is_range = conversions.is_range(self.type, config.fields)
         self._newest: int | None = None
 
@@ -89,7 +89,7 @@ class Inlet:
         return self._stamp(msg, now_ns, arrived_ns), values
 
     def _stamp(self, msg: Any, now_ns: int, arrived_ns: int | None) -> int:
-        if not self._stamped:
+        if not self.is_stamped:
             return now_ns if arrived_ns is None else min(arrived_ns, now_ns)
         stamp_ns = conversions.stamp_to_ns(msg.header.stamp)
         if stamp_ns <= 0:

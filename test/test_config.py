@@ -153,6 +153,10 @@ WRONG = [
           of={**SMALL, 'grid.lower': [-1e308, -1e308]}),
     wrong('measurements.main.params.sigma', 0.0, 'positive', of=PLANE),
     wrong('measurements.queue_length', 0, '1 to'),
+    wrong('diagnostics.max_age', [2.0, 1.0], 'two numbers'),
+    wrong('diagnostics.max_busy', [0.5], 'two numbers'),
+    wrong('diagnostics.max_delay', [-1.0, 1.0], 'two numbers'),
+    wrong('measurements.main.enabled', 'yes', 'true or false'),
     wrong('measurements.queue_length', -5, '1 to'),
     wrong('measurements.queue_length', 2**40, '1000000'),
     wrong('publish.rate', -1.0, '0, or'),
@@ -281,7 +285,10 @@ INTEGERS = {
     'time.history_memory': 100, 'time.max_ahead': 2, 'time.max_forecast': 30,
     'time.max_gap': 60, 'control.hold': 1, 'region.negligible': 0, 'region.resolution': 2,
     'kernel.noise_inflation': 1, 'kernel.macro_error': 0, 'kernel.s': 0,
-    'filter.significance': 0,
+    'filter.significance': 0, 'diagnostics.rate': 2, 'diagnostics.max_age': [1, 2],
+    'diagnostics.max_delay': [1, 1], 'diagnostics.max_refused': [0, 1],
+    'diagnostics.max_lost_mass': [0, 1], 'diagnostics.max_edge_mass': [0, 1],
+    'diagnostics.max_busy': [0, 1],
     'filter.resample_below': 1, 'operator.threshold': 0,
     'model.params.sigma_x': 1, 'model.params.sigma_y': 2}
 

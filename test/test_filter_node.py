@@ -8,7 +8,7 @@ from geometry_msgs.msg import PointStamped, PoseWithCovariance, PoseWithCovarian
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
 from numpy.testing import assert_allclose
-from pif_ros import conversions, interface
+from pif_ros import conversions, interface, timekeeper
 from pif_ros.config import build_tracker, Config, specifications
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import DiracFeynmanFilter
@@ -678,7 +678,8 @@ def test_of_parameters_set_together_none_is_set_where_one_is_refused(graph):
     [answer] = set_parameters(rig, atomically=True, density__rate=7.0, pose__estimator='median')
     assert not answer.successful
     assert rig.node.get_parameter('density.rate').value == 1.0
-    assert rig.node._live == {'density.rate': 1.0, 'pose.estimator': 'mean'}
+    assert rig.node._live == {'density.rate': 1.0, 'pose.estimator': 'mean',
+                              'measurements.main.enabled': True}
 
 
 def test_what_needs_a_rebuild_is_read_only_and_says_so(graph):
@@ -800,6 +801,52 @@ def test_a_jump_back_of_the_clock_resets_to_the_prior_with_one_line(graph):
     check_healthy(rig)
 
 
+def test_a_jump_back_no_further_than_stamps_may_be_ahead_keeps_the_belief_with_one_line(graph):
+    rig = Rig(graph, SIMULATED)
+    logged = []
+    rig.peer.create_subscription(Log, '/rosout', logged.append, DEEP)
+    rig.tick(T + SECOND)
+    follow(rig, track(3))
+    rig.tick(T + 700 * MS)
+    late = (T + 710 * MS, 0.3, 0.3)
+    follow(rig, [late])
+    check_same(belief(rig), library(measurements=[*track(3), late]).estimate().belief)
+    graph.until(lambda: any('jumped' in log.msg for log in logged), 'a line')
+    assert sum('jumped' in log.msg for log in logged) == 1
+    check_healthy(rig)
+
+
+@pytest.mark.parametrize('by', [-5, 65, -3600, 86400])
+def test_a_system_clock_that_is_set_takes_the_belief_along_with_one_line(graph, monkeypatch, by):
+    logged, steady_ns = [], timekeeper.steady_ns
+    rig = Rig(graph, {**PLANE, 'publish.rate': 20.0})
+    rig.peer.create_subscription(Log, '/rosout', logged.append, DEEP)
+    # the clock of today is the one that was set: until then it was as much behind
+    before_ns = time.time_ns() - by * SECOND
+    twin = library(measurements=[(before_ns - SECOND, 0.1, 0.2), (before_ns - MS, 0.3, 0.2)])
+    for stamp_ns, *values in [(before_ns - SECOND, 0.1, 0.2), (before_ns - MS, 0.3, 0.2)]:
+        rig.node.tracker.observe(Measurement(stamp_ns, 'main', tuple(values)))
+    rig.node._published_ns = before_ns
+    rig.node._time.now()
+    monkeypatch.setattr(timekeeper, 'steady_ns', lambda: steady_ns() - by * SECOND)
+    now = time.time_ns()
+    rig.send('fix', fix(now, 0.2, 0.2))
+    rig.pose_at(now)
+    moved = twin.estimate()
+    again = library()
+    again.reset(moved.belief, moved.stamp_ns + rig.node.tracker._anchor.stamp_ns
+                - moved.stamp_ns)
+    assert abs(again.stamp_ns - (before_ns - MS + by * SECOND)) < SECOND // 10
+    again.observe(Measurement(now, 'main', (0.2, 0.2)))
+    check_same(belief(rig), again.estimate().belief)
+    count = len(rig.poses)
+    graph.until(lambda: len(rig.poses) > count, 'a forecast')
+    assert rig.stamps == sorted(rig.stamps)
+    graph.until(lambda: any('was set by' in log.msg for log in logged), 'a line')
+    assert sum('was set by' in log.msg for log in logged) == 1
+    check_healthy(rig)
+
+
 def test_a_small_disorder_of_stamps_is_no_jump(graph):
     rig = Rig(graph, SIMULATED)
     rig.tick(T + SECOND)
@@ -855,17 +902,38 @@ def test_diagnostics_tell_of_the_belief_and_of_every_source(graph):
     rig.send('fix', fix(T, 0.2, 0.1))
     rig.pose_at(T)
     graph.until(lambda: len(heard) > 1, 'diagnostics')
-    belief, source = heard[-1].status
+    whole, belief, source, timing = heard[-1].status
     assert (belief.name, belief.level, belief.message) == (
         '/filter_node: belief', b'\0', 'on the grid')
+    # the stamp is of long ago
+    assert (whole.name, whole.level) == ('/filter_node: filter', b'\2')
+    assert timing.name == '/filter_node: timing'
+    assert {'work', 'correct', 'publish'} <= {pair.key.split(',')[0] for pair in timing.values}
     values = {pair.key: pair.value for pair in belief.values}
     newest = rig.node.tracker.newest.belief
     assert float(values['mass']) == pytest.approx(newest.mass, abs=1e-9)
     assert float(values['standard deviation of x']) == pytest.approx(
         np.sqrt(newest.covariance()[0, 0]), rel=1e-5)
     assert source.name == '/filter_node: main'
-    assert {pair.key: pair.value for pair in source.values} == {
-        'received': '1', 'accepted': '1', 'outliers': '0', 'dropped': '0'}
+    counts = {pair.key: pair.value for pair in source.values}
+    assert counts | {'received': '1', 'accepted': '1', 'outliers': '0', 'dropped': '0',
+                     'lost before us': '0'} == counts
+
+
+def test_diagnostics_are_told_at_once_where_it_gets_worse(graph):
+    # the timer does not beat while this is tested
+    rig = Rig(graph, {**PLANE, 'diagnostics.rate': 0.001})
+    heard = []
+    rig.peer.create_subscription(DiagnosticArray, '/diagnostics', heard.append, 10)
+    graph.until(lambda: rig.node.count_subscribers('/diagnostics'), 'a listener')
+    now = time.time_ns()
+    rig.send('fix', fix(now, 0.2, 0.1))
+    rig.handled(1)
+    rig.send('fix', fix(now + 1, float('nan'), 0.1))
+    graph.until(lambda: heard, 'diagnostics')
+    [source] = [status for status in heard[0].status if status.name.endswith('main')]
+    assert source.level == b'\2'
+    assert '1 not finite' in source.message
 
 
 # Too much, and too bad
@@ -1026,16 +1094,16 @@ def test_an_initial_pose_of_long_ago_is_refused(graph):
     check_same(belief(rig), before)
 
 
-def test_what_the_queue_in_dds_drops_is_counted(graph):
+def test_what_the_queue_in_dds_drops_is_counted_as_lost_before_the_node(graph):
     rig = Rig(graph, {**PLANE, 'measurements.queue_length': 10})
     follow(rig, track(1))
     for i in range(1, 101):
         rig.send('fix', fix(T + i * MS, 0.0, 0.0))
     rig.pose_at(T + 100 * MS)
     account = rig.node.accounts.sources['main']
-    assert account.received == 101
-    assert account.accepted + account.dropped == 101 and account.dropped > 0
-    rig.line('main', 'DDS')
+    assert account.received + account.lost == 101 and account.lost > 0
+    assert (account.accepted, account.dropped) == (account.received, 0)
+    rig.line('main', 'lost before')
     check_healthy(rig)
 
 
@@ -1051,18 +1119,18 @@ def test_two_publishers_of_one_source_are_no_loss(graph):
         other.publish(fix(T + i * MS, 0.1, 0.0))
     rig.handled(70)
     account = rig.node.accounts.sources['main']
-    assert (account.received, account.accepted, account.dropped) == (70, 70, 0)
+    assert (account.received, account.accepted, account.dropped, account.lost) == (70, 70, 0, 0)
 
 
 def test_a_sensor_that_raises_costs_its_measurement_and_no_other(graph):
     rig = Rig(graph, PLANE)
     follow(rig, track(3))
     sensor = rig.node.tracker.filter._likelihoods['main']
-    healthy = type(sensor).log
+    healthy = type(sensor).terms
 
     class Moody(type(sensor)):
 
-        def log(self, y, *rest):
+        def terms(self, y, *rest):
             if y[0] == 7.5:
                 raise ArithmeticError('such a number')
             return healthy(self, y, *rest)
@@ -1147,5 +1215,20 @@ def test_a_remapped_source_still_counts_what_dds_drops(graph):
         rig.send('/elsewhere', fix(T + i * MS, 0.0, 0.0))
     rig.pose_at(T + 100 * MS)
     account = rig.node.accounts.sources['main']
-    assert account.received == 101 and account.dropped > 0
+    assert account.received + account.lost == 101 and account.lost > 0
     check_balance(rig)
+
+
+def test_a_source_that_is_disabled_is_counted_and_not_believed_until_it_is_enabled(graph):
+    rig = Rig(graph, PLANE)
+    follow(rig, track(1))
+    [answer] = set_parameters(rig, measurements__main__enabled=False)
+    assert answer.successful
+    rig.send('fix', fix(*track(2)[1]))
+    rig.handled(2)
+    account = rig.node.accounts.sources['main']
+    assert account.rejected == {'disabled': 1}
+    set_parameters(rig, measurements__main__enabled=True)
+    follow(rig, [track(3)[2]])
+    check_same(belief(rig), library(measurements=[track(3)[0], track(3)[2]]).estimate().belief)
+    check_healthy(rig)

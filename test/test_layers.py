@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: From the ground up: a module imports from lower lines only.  The entry points of TOP stand above
 #: all of it, and nothing imports them but each other.
 LAYERS = [
-    ['', 'core', 'core.compiler', 'share', 'accounts', 'process'],
+    ['', 'core', 'core.compiler', 'share', 'process'],
     ['core.grid', 'core.posterior'],
     ['core.belief'],
     ['core.models', 'core.scoring'],
@@ -57,9 +57,11 @@ LAYERS = [
     ['config.build'],
     ['config.bank'],
     ['config'],
+    ['stopwatch', 'timekeeper', 'traffic'],
+    ['accounts'],
     ['parameters', 'diagnostics', 'interface', 'scenario'],
     ['conversions'],
-    ['sources', 'reference'],
+    ['sources', 'reference', 'health'],
     ['inbox', 'outputs', 'simulation_node'],
     ['filter_node'],
     ['filter_bank'],
@@ -75,7 +77,7 @@ OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'}
 
 #: Who may speak to rclpy, and who of them handles messages.
 SPEAKS_ROS = {'parameters', 'outputs', 'filter_node', 'filter_bank', 'node',
-              'interface', 'conversions',
+              'interface', 'conversions', 'health', 'timekeeper',
               'simulate', 'simulation_node',
               'plaza.player', 'plaza.player_node', 'plaza.recorder', 'plaza.demonstration'}
 HANDLES_MESSAGES = {'conversions', 'interface', 'filter_node', 'simulation_node',

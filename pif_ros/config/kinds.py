@@ -128,6 +128,13 @@ def _many(one: Callable[[Value], Any]) -> Callable[[Value], tuple[Any, ...]]:
     return take
 
 
+def _limits(value: Value) -> tuple[float, ...]:
+    numbers = _many(_not_negative)(value)
+    if len(numbers) != 2 or numbers[0] > numbers[1]:
+        raise ValueError
+    return numbers
+
+
 def one_of(*options: str) -> Kind:
     def take(value: Value) -> str:
         if value not in options:
@@ -146,6 +153,7 @@ DURATION = Kind('a number from 0 to 1e9', _duration)
 FREQUENCY = Kind('0, or a number from 0.001 to 1000', _frequency)
 BOOL, TEXT, NAME = Kind('true or false', _bool), Kind('text', _text), Kind('a name', _name)
 NUMBERS = Kind('a list of finite numbers', _many(_number))
+LIMITS = Kind('two numbers, 0 or more, the second no less than the first', _limits)
 INTEGERS = Kind('a list of whole numbers', _many(_integer))
 BOOLS = Kind('a list of true or false', _many(_bool))
 NAMES = Kind('a list of names', _many(_text))

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pif_ros.config.kinds import (BOOL, BOOLS, COUNT, DURATION, FREQUENCY, INTEGER, INTEGERS, NAME,
-                                  NAMES, NOT_NEGATIVE, NUMBER, NUMBERS, one_of, parameter, PART,
-                                  POSITIVE, SEED, SHARE, STEPS, TEXT)
+from pif_ros.config.kinds import (BOOL, BOOLS, COUNT, DURATION, FREQUENCY, INTEGER, INTEGERS,
+                                  LIMITS, NAME, NAMES, NOT_NEGATIVE, NUMBER, NUMBERS, one_of,
+                                  parameter, PART, POSITIVE, SEED, SHARE, STEPS, TEXT)
 from pif_ros.core.continuous import SCHEMES
 
 
@@ -144,6 +144,8 @@ class SourceConfig:
                                         '`pose.pose.position.x` or `ranges[0]`; empty: `data`')
     sensor: str = parameter('', TEXT, "which of the system's sensors; empty: its first")
     params: Mapping[str, Any] = field(default_factory=dict)
+    enabled: bool = parameter(True, BOOL, 'whether its measurements are taken; if not, they are '
+                              'counted as disabled', live=True)
 
 
 @dataclass(frozen=True)
@@ -214,3 +216,28 @@ class TimeConfig:
                                     'pose is predicted', 's')
     max_gap: float = parameter(600.0, DURATION, 'longest gap between measurements that is '
                                'predicted through; after a longer one the prior holds again', 's')
+
+
+@dataclass(frozen=True)
+class DiagnosticsConfig:
+    """
+    How often the node tells how it is, and from where on that is a warning, and an error.
+
+    Each limit is a pair: WARN from the first number on, ERROR from the second on.
+    """
+
+    rate: float = parameter(1.0, FREQUENCY, 'how often, besides at once when it gets worse; '
+                            '0: never', 'Hz')
+    max_age: tuple[float, ...] = parameter((2.0, 10.0), LIMITS, 'for how long a source may be '
+                                           'silent, WARN and ERROR', 's')
+    max_delay: tuple[float, ...] = parameter((0.5, 5.0), LIMITS, 'how old stamps may be when they '
+                                             'come, WARN and ERROR', 's')
+    max_refused: tuple[float, ...] = parameter((0.1, 0.5), LIMITS, 'share of the last 50 messages '
+                                               'of a source that were not taken or never came, '
+                                               'WARN and ERROR')
+    max_lost_mass: tuple[float, ...] = parameter((0.05, 0.5), LIMITS, 'share of the belief that '
+                                                 'has left the grid, WARN and ERROR')
+    max_edge_mass: tuple[float, ...] = parameter((0.05, 0.5), LIMITS, 'share of it in the '
+                                                 "grid's outermost cells, WARN and ERROR")
+    max_busy: tuple[float, ...] = parameter((0.7, 0.95), LIMITS, 'share of the time that the work '
+                                            'may take, WARN and ERROR')

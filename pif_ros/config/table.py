@@ -16,10 +16,10 @@ import re
 from typing import Any
 
 from pif_ros.config.kinds import ConfigError, NAME, parameter, taken, Value
-from pif_ros.config.sections import (ControlConfig, DensityConfig, FilterConfig, GridConfig,
-                                     KernelConfig, MeasurementsConfig, ModelConfig, OperatorConfig,
-                                     PoseConfig, PriorConfig, PublishConfig, RegionConfig,
-                                     SourceConfig, TimeConfig)
+from pif_ros.config.sections import (ControlConfig, DensityConfig, DiagnosticsConfig, FilterConfig,
+                                     GridConfig, KernelConfig, MeasurementsConfig, ModelConfig,
+                                     OperatorConfig, PoseConfig, PriorConfig, PublishConfig,
+                                     RegionConfig, SourceConfig, TimeConfig)
 import yaml
 
 
@@ -41,6 +41,7 @@ class Config:
     publish: PublishConfig = field(default_factory=PublishConfig)
     density: DensityConfig = field(default_factory=DensityConfig)
     time: TimeConfig = field(default_factory=TimeConfig)
+    diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)
 
     @classmethod
     def from_parameters(cls, given: Mapping[str, Value]) -> Config:
@@ -96,7 +97,8 @@ _SECTIONS: Mapping[str, type] = {
     'model': ModelConfig, 'grid': GridConfig, 'region': RegionConfig, 'prior': PriorConfig,
     'filter': FilterConfig, 'kernel': KernelConfig, 'operator': OperatorConfig,
     'measurements': MeasurementsConfig, 'control': ControlConfig, 'pose': PoseConfig,
-    'publish': PublishConfig, 'density': DensityConfig, 'time': TimeConfig}
+    'publish': PublishConfig, 'density': DensityConfig, 'time': TimeConfig,
+    'diagnostics': DiagnosticsConfig}
 
 
 def _section(section: type, prefix: str, left: dict[str, Value]) -> Any:

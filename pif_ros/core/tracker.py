@@ -120,6 +120,16 @@ class Tracker(Generic[Belief]):
         return self._timeline[-1].stamp_ns if self._timeline else self._anchor.stamp_ns
 
     @property
+    def kept(self) -> int:
+        """Return how many beliefs are kept for what comes late."""
+        return len(self._posteriors)
+
+    @property
+    def nbytes(self) -> int:
+        """Return the memory that the beliefs take, in bytes."""
+        return sum(each.belief.nbytes for each in (self._anchor, *self._posteriors))
+
+    @property
     def newest(self) -> Estimate[Belief]:
         """Return what was believed after the newest of the corrections that were made."""
         return self._posteriors[-1] if self._posteriors else self._anchor

@@ -192,7 +192,8 @@ def test_a_filter_gives_the_same_belief_and_evidence_either_way(without):
     Sensor(lambda x, t: np.log(x[:1]), [[0.1]]),
     Sensor(lambda x, t: x[:1] * x[1:], [[1e-3]]),
     Sensor(lambda x, t: x + t, 1e-3 * np.eye(2), time_dependent=True)],
-    ids=['angular', 'undefined on half of the grid', 'narrower than a cell', 'narrower than a cell, and changing'])
+    ids=['angular', 'undefined on half of the grid', 'narrower than a cell',
+         'narrower than a cell, and changing'])
 def test_other_sensors_give_the_same_either_way(sensor, without):
     made = DiracFeynmanFilter(SYSTEM.model, box(30), {'other': sensor}, KernelSettings(0.01))
     start, y = made.gaussian([0.5, 0.2], np.eye(2)), np.full(sensor.size, 0.3)

@@ -1,0 +1,51 @@
+"""What a node tells of itself on /diagnostics: once in a while, and at once when it gets worse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import time
+
+from pif_ros import conversions, interface
+from pif_ros.diagnostics import Facts, OK, statuses
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+#: Whether it got worse is looked at no more often than this, in seconds.
+SELDOM = 0.2
+
+
+class Health:
+    """
+    The publisher of a node's diagnostics.
+
+    facts: what tells how it is; tick: called on every beat of its timer, which is steady.
+    """
+
+    def __init__(self, node: Node, rate: float, facts: Callable[[], Facts],
+                 tick: Callable[[], None]) -> None:
+        self._node, self._facts, self._level, self._looked = node, facts, OK, 0.0
+        self._is_wanted = bool(rate)
+        told = interface.DIAGNOSTICS
+        self._publisher = node.create_publisher(told.type, told.name, told.qos)
+        if rate:
+            node.create_timer(1 / rate, tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def tell(self) -> None:
+        """Publish how it is."""
+        self._publish(only_worse=False)
+
+    def look(self) -> None:
+        """Publish how it is where that is worse than what was told last."""
+        now = time.monotonic()
+        if self._is_wanted and now - self._looked > SELDOM:
+            self._looked = now
+            self._publish(only_worse=True)
+
+    def _publish(self, only_worse: bool) -> None:
+        found = statuses(self._facts())
+        level = max(status.level for status in found)
+        if level > self._level or not only_worse:
+            self._level = level
+            self._publisher.publish(conversions.diagnostics_message(
+                found, self._node.get_clock().now().nanoseconds,
+                self._node.get_fully_qualified_name()))
