@@ -1,0 +1,14 @@
+"""A share of each long proof that takes seconds."""
+
+from importlib import import_module
+
+import pytest
+
+#: What each proof may do here.
+SHARES = {'fuzz': 0.003}
+
+
+@pytest.mark.parametrize('name', SHARES)
+def test_a_share_of_what_is_proven_holds(name):
+    for line in import_module(f'proofs.{name}').run(SHARES[name]):
+        print(line)
