@@ -5,7 +5,7 @@ from importlib import import_module
 import pytest
 
 #: What each proof may do here.
-SHARES = {'fuzz': 0.003}
+SHARES = {'fuzz': 0.003, 'hostile': 0.2}
 
 
 @pytest.mark.parametrize('name', SHARES)
