@@ -5,7 +5,8 @@ from importlib import import_module
 import pytest
 
 #: What each proof may do here.
-SHARES = {'fuzz': 0.003, 'hostile': 0.2}
+SHARES = {'fuzz': 0.003, 'hostile': 0.2, 'overload': 0.1, 'signals': 0.02,
+          'wrong_configurations': 0.02}
 
 
 @pytest.mark.parametrize('name', SHARES)
