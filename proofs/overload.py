@@ -1,4 +1,4 @@
-"""Predictions that take longer than their period: measurements are fused or counted, all of them."""
+"""Predictions that take longer than their period: measurements are fused or counted."""
 
 from __future__ import annotations
 

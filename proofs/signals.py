@@ -49,7 +49,8 @@ def run(share: float = 1.0) -> list[str]:
     if starting:
         lines.append(_told('while it starts, which it finishes first', starting))
     assert soon >= MOST, f'{soon:.1%} within {LIMIT:g} s: {lines[0]}'
-    return [f'{count} signals ({", ".join(KINDS)}): status 0 and an empty stderr each time', *lines]
+    return [f'{count} signals ({"; ".join(KINDS)}): status 0 and an empty stderr each time',
+            *lines]
 
 
 def _ended(node: Executable, kind: str, early: bool, rng: np.random.Generator,

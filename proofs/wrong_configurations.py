@@ -1,4 +1,4 @@
-"""Wrong configurations, each a process: status 2, in three seconds, one line with the parameter."""
+"""Wrong configurations, each a process: status 2 in three seconds, one line that names it."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def run(share: float = 1.0) -> list[str]:
         with tempfile.TemporaryDirectory() as folder:
             took.append(_refusal(Path(folder), name, content, words))
         progress.show((k + 1) / len(chosen))
-    return [f'{len(chosen)} wrong configurations of {len(cases)}: each is refused with status 2 and '
-            f'one line on stderr that names the parameter; {max(took):.2f} s at most']
+    return [f'{len(chosen)} wrong configurations of {len(cases)}: each is refused with status 2 '
+            f'and one line on stderr that names the parameter; {max(took):.2f} s at most']
 
 
 def _of_values(given: Mapping[str, Any], parameter: str, wanted: tuple[str, ...],
