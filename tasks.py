@@ -5,6 +5,7 @@ Do the jobs of this package on a machine with Python 3.10 or newer, with or with
     python3 tasks.py demo        find a robot by radio, on a real recording; or: demo --odometry
     python3 tasks.py reproduce   run the papers' examples: --all --out DIR, or --list
     python3 tasks.py test        run the tests
+    python3 tasks.py prove       show what the node survives, in hours: or NAME, --share 0.01
     python3 tasks.py lint        run ament_flake8, ament_pep257 and mypy
     python3 tasks.py benchmark   measure the speed
     python3 tasks.py clean       remove all that these jobs and colcon have made
@@ -42,9 +43,13 @@ def test(arguments):
         ROS_PYTHON_CHECK_FIELDS='1')
 
 
+def prove(arguments):
+    run(environment() / 'python', '-m', 'proofs', *arguments)
+
+
 def lint(arguments):
     tools = environment('lint')
-    code = ['pif_ros', 'test', 'benchmarks', 'launch', 'setup.py', 'tasks.py']
+    code = ['pif_ros', 'test', 'benchmarks', 'proofs', 'launch', 'setup.py', 'tasks.py']
     run(tools / 'ament_flake8', *code)
     run(tools / 'ament_pep257', *code)
     run(tools / 'python', '-m', 'mypy', *arguments)
@@ -146,7 +151,7 @@ def say(text):
     print('==>', text, flush=True)
 
 
-TASKS = {task.__name__: task for task in (demo, reproduce, test, lint, benchmark, clean)}
+TASKS = {task.__name__: task for task in (demo, reproduce, test, prove, lint, benchmark, clean)}
 
 if __name__ == '__main__':
     if sys.version_info < (3, 10):

@@ -81,6 +81,10 @@ class Accounts:
         return '; '.join(lines)
 
 
+#: What a line shows of a text at most: others may have chosen what it tells of.
+LONGEST = 500
+
+
 class Throttle:
     """Which of many like lines are worth saying: the first, then one in so many seconds."""
 
@@ -96,5 +100,6 @@ class Throttle:
             self._kept[kind] += 1
             return None
         self._said[kind] = now
+        text = text if len(text) <= LONGEST else f'{text[:LONGEST]} ...'
         kept = self._kept.pop(kind, 0)
         return f'{text} ({kept} more like it)' if kept else text

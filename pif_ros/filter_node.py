@@ -13,6 +13,7 @@ from pif_ros import conversions, interface, parameters
 from pif_ros.accounts import Accounts, Throttle
 from pif_ros.config import build_tracker, ConfigError, describe, find_grid, find_system
 from pif_ros.core.active import ActiveGridFilter
+from pif_ros.core.controls import carries_across
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import Estimate, Tracker
 from pif_ros.diagnostics import Facts
@@ -318,8 +319,10 @@ class FilterNode(Node):
         model, sensors = self.tracker.filter.model, self.tracker.filter.sensors
         if self.accounts.control is not None:
             # before the measurements: of what comes together it is the first to be taken
+            too_fast = functools.partial(carries_across, model, find_grid(config, model),
+                                         seconds=config.kernel.time_step)
             self._listen(ControlSource(config.control, model.inputs, config.time.max_ahead,
-                                       self.accounts.control), known)
+                                       too_fast, self.accounts.control), known)
         for name, source_config in config.measurements.sources.items():
             self._listen(Source(name, source_config, sensors[name], config.time.max_ahead,
                                 self.accounts.sources[name]), known)

@@ -21,6 +21,8 @@ OUTLIER = -0.5 * 10**2
 OVERLOAD = 5.0
 #: So many corrections of a replay are made before signals, services and messages have their turn.
 SLICE = 32
+#: Fewer of them where they would take longer than this, in seconds.
+TURN = 0.1
 #: A replay of more corrections than this waits until a burst of late messages has ended ...
 LONG_REPLAY = 4
 #: ... but no longer than this, in seconds.
@@ -48,6 +50,7 @@ class Inbox:
         self._burst_since: float | None = None
         self._arrivals = self._arrivals_seen = 0
         self._news = False
+        self._in_turn = 1
 
     @property
     def has_work(self) -> bool:
@@ -83,8 +86,12 @@ class Inbox:
         self._burst_since = None
         if not self._tracker.backlog:
             return None
+        began = time.monotonic()
         try:
-            estimate = self._tracker.estimate(at_most=self.slice)
+            estimate = self._tracker.estimate(at_most=min(self.slice, self._in_turn))
+            # what one took, its prediction included, the next ones will take
+            took = (time.monotonic() - began) / len(self._tracker.corrections)
+            self._in_turn = max(1, int(TURN / max(took, 1e-6)))
         except CorrectionFailed as failed:
             account = self._account_of(failed.measurement)
             account.accepted -= 1

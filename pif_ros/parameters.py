@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pif_ros.config import Config, specifications
+from pif_ros.config import Config, ConfigError, specifications
 from pif_ros.config.kinds import taken
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 #: Parameters of rclpy itself, which the table does not hold.
-FOREIGN = ('use_sim_time', 'start_type_description_service')
+CLOCK = 'use_sim_time'
+FOREIGN = (CLOCK, 'start_type_description_service')
 
 
 def declare(node: Node, given: Mapping[str, Any]) -> Config:
@@ -47,7 +48,14 @@ def mistyped(node: Node) -> str:
 
 
 def live_values(changes: Sequence[Parameter], sources: Sequence[str]) -> dict[str, Any]:
-    """Return the new values of live parameters by name; ConfigError for what cannot be."""
+    """
+    Return the new values of live parameters by name; ConfigError for what cannot be.
+
+    A clock is chosen at the start: who could change it from afar could make the node stand still.
+    """
+    for change in changes:
+        if change.name == CLOCK:
+            raise ConfigError(f'{CLOCK}: expected at the start only, got {change.value!r}')
     specs = specifications(sources)
     return {change.name: taken(change.name, change.value, specs[change.name])
             for change in changes if change.name in specs}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
 from typing import Any
@@ -119,12 +119,15 @@ class ControlSource(Inlet):
     """
     The topic of what drives a model with inputs.
 
+    is_too_fast: tells of the numbers of a control, and the time, whether no step could follow it.
     Raises ConfigError also for fields that hold not just one number for each input.
     """
 
     def __init__(self, config: ControlConfig, inputs: Sequence[str], max_ahead: float,
+                 is_too_fast: Callable[[tuple[float, ...], float], bool],
                  account: SourceAccount | None = None) -> None:
         super().__init__('control', 'control', 'control', config, len(inputs), max_ahead, account)
+        self._is_too_fast = is_too_fast
         try:
             conversions.field_writer(self.type, config.fields, len(inputs))
         except ValueError as error:
@@ -132,4 +135,8 @@ class ControlSource(Inlet):
 
     def item(self, msg: Any, now_ns: int | None, arrived_ns: int | None = None) -> Control:
         """Return the control in a message; Refused where it is none."""
-        return Control(*self.read(msg, now_ns, arrived_ns))
+        stamp_ns, values = self.read(msg, now_ns, arrived_ns)
+        if self._is_too_fast(values, stamp_ns / NANOSECONDS):
+            raise Refused('too fast', 'expected one that carries no state across the whole grid '
+                          f'in kernel.time_step, got {list(values)}')
+        return Control(stamp_ns, values)

@@ -82,3 +82,8 @@ def test_a_line_of_another_kind_is_not_kept_back(watch):
 def test_a_line_just_after_the_machine_has_started_is_said(watch):
     watch.now = 0.0
     assert Throttle().line('late', 'late') == 'late'
+
+
+def test_a_line_shows_no_more_of_a_long_text_than_a_reader_wants(watch):
+    line = Throttle().line('frame', 'expected map, got ' + 'x' * 10_000_000)
+    assert line.startswith('expected map, got xxx') and len(line) < 600

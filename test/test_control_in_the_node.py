@@ -183,6 +183,7 @@ BAD = {
     'nan': (lambda: loose(T + SECOND, 0.1, float('nan')), 'not finite', 'nan'),
     'too short': (lambda: loose(T + SECOND, 0.1), 'wrong length', 'got 1'),
     'too long': (lambda: loose(T + SECOND, 0.1, 0.2, 0.3), 'wrong length', 'got 3'),
+    'too fast': (lambda: loose(T + SECOND, 1e6, 0.0), 'too fast', 'kernel.time_step'),
     'zero stamp': (lambda: loose(0, 0.1, 0.2), 'no stamp', 'got 0.0 s'),
     'future': (lambda: loose(time.time_ns() + 100 * SECOND, 0.1, 0.2), 'from the future',
                'time.max_ahead'),

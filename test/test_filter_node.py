@@ -1207,6 +1207,28 @@ def test_replays_that_never_end_take_no_more_late_measurements(graph):
     check_balance(rig)
 
 
+def test_slow_corrections_are_made_few_at_a_time_so_that_others_have_their_turn(graph):
+    node = graph.filter_node(PLANE)
+    correct = node.tracker.filter.correct
+
+    def slow(*given):
+        time.sleep(0.03)
+        return correct(*given)
+
+    object.__setattr__(node.tracker.filter, 'correct', slow)
+    [heard] = [s for s in node.subscriptions if s.topic_name == '/fix']
+    for k in range(40):
+        heard.callback(fix(T + k * MS, 0.0, 0.0), INFO)
+    longest = 0.0
+    while node.inbox.has_work:
+        began = time.monotonic()
+        node._work()
+        longest = max(longest, time.monotonic() - began)
+    assert node.accounts.sources['main'].accepted == 40
+    # three fit into a turn of 0.1 s; all of a slice would take 0.96 s
+    assert longest < 0.5
+
+
 def test_a_remapped_source_still_counts_what_dds_drops(graph):
     rig = Rig(graph, {**PLANE, 'measurements.queue_length': 10}, '-r', 'fix:=/elsewhere')
     rig.send('/elsewhere', fix(T, 0.0, 0.0))

@@ -59,7 +59,7 @@ def imports(*folders: str) -> set[str]:
             names |= {alias.name.split('.')[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level:
             names.add(node.module.split('.')[0])
-    own = {'pif_ros', 'test'} | {file.stem for file in (ROOT / 'test').rglob('*.py')}
+    own = {'pif_ros', 'proofs', 'test'} | {file.stem for file in (ROOT / 'test').rglob('*.py')}
     return {ROSDEP_KEYS.get(name, name)
             for name in names - own - sys.stdlib_module_names - OPTIONAL}
 

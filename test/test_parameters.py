@@ -110,4 +110,11 @@ def test_live_values_that_cannot_be_are_refused_with_the_line(name, value):
 
 
 def test_parameters_that_are_not_in_the_table_are_none_of_its_business():
-    assert parameters.live_values([Parameter('use_sim_time', value=True)], ('main',)) == {}
+    assert parameters.live_values([Parameter('qos', value=True)], ('main',)) == {}
+
+
+@pytest.mark.parametrize('value', [True, False])
+def test_the_clock_is_chosen_at_the_start_only(value):
+    with pytest.raises(ConfigError, match=f'^use_sim_time: .* the start only, got {value}$'):
+        parameters.live_values([Parameter('density.rate', value=2.0),
+                                Parameter('use_sim_time', value=value)], ('main',))

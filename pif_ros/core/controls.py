@@ -7,11 +7,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 import itertools
 
+import numpy as np
+from pif_ros.core.grid import Grid
 from pif_ros.core.models import StateModel
 
 Value = tuple[float, ...]
 
 NANOSECONDS = 1_000_000_000
+#: States at which a control is looked at, at most, along each axis.
+LOOKS = 5
 
 
 @dataclass(frozen=True)
@@ -82,3 +86,19 @@ def driven(model: StateModel, controls: Controls, from_ns: int,
         return
     for start, end, u in controls.between(from_ns, to_ns):
         yield start, end, model.under(u)
+
+
+@np.errstate(all='ignore')
+def carries_across(model: StateModel, grid: Grid, u: Value, t: float, seconds: float) -> bool:
+    """
+    Return whether a control carries a state across the whole grid within so many seconds.
+
+    That is f(x, u, t) - f(x, 0, t), seen at some states x, and what is not finite is beyond all:
+    no step follows such a motion, and no number of steps is enough for one that has no bounds.
+    """
+    some = [axis[np.unique(np.linspace(0, len(axis) - 1, LOOKS).astype(int))]
+            for axis in grid.axes]
+    x = np.stack(np.meshgrid(*some, indexing='ij')).reshape(grid.ndim, -1)
+    f = model.under(u).drift(x, t) - model.under(()).drift(x, t)
+    width = np.array(grid.upper) - np.array(grid.lower)
+    return not bool((np.abs(f) * seconds <= width[:, None]).all())

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 from pif_ros.core.continuous import DiracFeynmanYauFilter, ExtendedKalmanBucyFilter
-from pif_ros.core.controls import Controls, driven, NO_CONTROLS
+from pif_ros.core.controls import carries_across, Controls, driven, NO_CONTROLS
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
@@ -236,3 +236,25 @@ def test_a_path_that_stays_inside_is_driven_too():
     path = simulate_inside(UNICYCLE, lambda rng: START, [0.0, 0.3], np.random.default_rng(0),
                            [-9.0] * 3, [9.0] * 3, 300, controls=DRIVE)
     np.testing.assert_allclose(path[-1], driven_by_arcs(START, 0, 300_000_000), atol=1e-3)
+
+
+# What no step can follow
+
+
+ROBOT, YARD = unicycle_2d().model, Grid((-5.0, -5.0, -np.pi), (5.0, 5.0, np.pi), (10, 10, 8),
+                                        (False, False, True))
+
+
+@pytest.mark.parametrize(('u', 'across'), [
+    ((0.0, 0.0), False), ((-90.0, 3.0), False), ((120.0, 0.0), True), ((-120.0, 0.0), True),
+    ((0.0, 60.0), False), ((0.0, -70.0), True), ((1e308, 1e308), True), ((1e160, 0.0), True)])
+def test_a_control_is_too_fast_that_crosses_the_grid_in_a_step(u, across):
+    # 10 m and 2 pi in 0.1 s; cos theta is 0.92 at least somewhere
+    assert carries_across(ROBOT, YARD, u, 0.0, 0.1) == across
+
+
+def test_a_drift_that_is_fast_by_itself_does_not_make_a_control_too_fast():
+    model = StateModel(('x',), lambda x, u, t: -1e6 * x + u[0], [[1.0]], inputs=('u',))
+    line = Grid((-1.0,), (1.0,), (20,))
+    assert not carries_across(model, line, (10.0,), 0.0, 0.1)
+    assert carries_across(model, line, (21.0,), 0.0, 0.1)

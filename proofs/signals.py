@@ -1,0 +1,92 @@
+"""200 signals at random phase: the node ends with status 0, an empty stderr, and soon."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import signal
+import tempfile
+import time
+
+from benchmarks.progress import Progress
+from geometry_msgs.msg import PointStamped
+import numpy as np
+from ros import DEEP, executable, Executable, Graph, PLANE, stamp_into, write_parameters
+
+SIGNALS = 200
+SEED = 17
+#: Of those that run, this share must end within so many seconds.
+MOST, LIMIT = 0.99, 1.0
+#: The first part of a second after its start in which a running node is told to end.
+WHILE_RUNNING = 1.0
+KINDS = {'SIGINT': (signal.SIGINT,), 'SIGTERM': (signal.SIGTERM,),
+         'SIGINT twice': (signal.SIGINT, signal.SIGINT),
+         'SIGINT, SIGTERM': (signal.SIGINT, signal.SIGTERM)}
+
+
+def run(share: float = 1.0) -> list[str]:
+    """End so many nodes: three of four while they run, the others while they start."""
+    count = max(round(share * SIGNALS), 4)
+    rng, progress = np.random.default_rng(SEED), Progress('signals')
+    running: list[float] = []
+    starting: list[float] = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_parameters(Path(folder) / 'node.yaml', {**PLANE, 'publish.rate': 20.0})
+        graph = Graph(Path(folder))
+        try:
+            sender = graph.peer().create_publisher(PointStamped, 'fix', DEEP)
+            for k in range(count):
+                kind = list(KINDS)[k % len(KINDS)]
+                # of four turns of the kinds, one is for the start
+                early = (k // len(KINDS)) % 4 == 3
+                with executable(Path(folder), '--params-file', str(path)) as node:
+                    took = _ended(node, kind, early, rng, sender)
+                (starting if early else running).append(took)
+                progress.show((k + 1) / count)
+        finally:
+            graph.close()
+    soon = float(np.mean(np.array(running) < LIMIT))
+    lines = [_told('while it runs, at 20 Hz and measured at 100 Hz', running)]
+    if starting:
+        lines.append(_told('while it starts, which it finishes first', starting))
+    assert soon >= MOST, f'{soon:.1%} within {LIMIT:g} s: {lines[0]}'
+    return [f'{count} signals ({"; ".join(KINDS)}): status 0 and an empty stderr each time',
+            *lines]
+
+
+def _ended(node: Executable, kind: str, early: bool, rng: np.random.Generator,
+           sender: object) -> float:
+    """Return how many seconds after a signal a node has ended, cleanly."""
+    node.until(node.handles_signals, 'it handles signals')
+    if early:
+        time.sleep(float(rng.uniform(0.0, 0.5)))
+    else:
+        node.until(node.runs, 'it runs')
+        _measure(sender, float(rng.uniform(0.0, WHILE_RUNNING)))
+    began = time.monotonic()
+    for number in KINDS[kind]:
+        node.process.send_signal(number)
+        time.sleep(float(rng.uniform(0.0, 0.01)))
+    status, *_ = node.end()
+    took = time.monotonic() - began
+    assert status == 0, f'{kind}: status {status}: {node.stderr}'
+    assert node.stderr == '', f'{kind}: on stderr: {node.stderr}'
+    last = node.stdout.splitlines()[-1]
+    assert 'stopped; main: ' in last, f'{kind}: the last line is {last!r}'
+    return took
+
+
+def _measure(sender: object, seconds: float) -> None:
+    """Measure a hundred times a second for some time."""
+    message = PointStamped()
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        stamp_into(message.header.stamp, time.time_ns())
+        message.point.x = message.point.y = 0.1
+        sender.publish(message)  # type: ignore[attr-defined]
+        time.sleep(0.01)
+
+
+def _told(when: str, took: list[float]) -> str:
+    median, most = np.percentile(took, [50, 99])
+    return (f'{len(took)} {when}: ended after {median:.2f} s (median), {most:.2f} s (99 %), '
+            f'{max(took):.2f} s (most)')
