@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from pif_ros import conversions, interface, parameters
+from pif_ros import interface, parameters
 from pif_ros.accounts import Accounts, Throttle
 from pif_ros.config import build_tracker, ConfigError, describe, find_grid, find_system
 from pif_ros.core.active import ActiveGridFilter
@@ -22,6 +22,7 @@ from pif_ros.inbox import Inbox
 from pif_ros.outputs import Outputs
 from pif_ros.process import guarded
 from pif_ros.sources import ControlSource, Inlet, Refused, Source
+from pif_ros.start import start_of
 from pif_ros.stopwatch import Stopwatch, TimedFilter
 from pif_ros.timekeeper import ClockSet, Timekeeper
 from rcl_interfaces.msg import SetParametersResult
@@ -116,25 +117,14 @@ class FilterNode(Node):
     @guarded
     def _on_initial_pose(self, msg: PoseWithCovarianceStamped) -> None:
         now_ns, account = self._now(), self.accounts.initial_pose
-        frame = msg.header.frame_id
-        prior = self.tracker.prior
         account.received += 1
         try:
-            if now_ns is None:
-                raise ValueError('expected a /clock before it')
-            if frame not in ('', self.config.frame_id):
-                raise ValueError(f'frame_id: expected {self.config.frame_id!r}, got {frame!r}')
-            stamp_ns = conversions.stamp_to_ns(msg.header.stamp)
-            stamp_ns = stamp_ns if 0 < stamp_ns < now_ns else now_ns
-            if stamp_ns < self._published_ns - self._max_gap_ns:
-                raise ValueError('stamp: expected one at most time.max_gap before the last pose, '
-                                 f'got {stamp_ns / NANOSECONDS} s')
-            mean, covariance = conversions.gaussian_from_pose(
-                msg.pose, self._outputs.pose_axes, prior.mean(), prior.covariance())
-            belief = self.tracker.filter.gaussian(mean, covariance)
-        except ValueError as error:
-            account.reject('no belief')
-            self.report('initialpose', f'initialpose: {error}')
+            belief, stamp_ns = start_of(msg, self.tracker, self._outputs.pose_axes,
+                                        self.config.frame_id, now_ns,
+                                        self._published_ns - self._max_gap_ns)
+        except Refused as refused:
+            account.reject(refused.reason)
+            self.report('initialpose', f'initialpose: {refused}')
             return
         account.accept(stamp_ns)
         self._restart(belief, stamp_ns, 'initialpose')

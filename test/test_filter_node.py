@@ -441,28 +441,28 @@ def test_an_initial_pose_of_the_future_holds_now(graph):
 
 
 NO_START = {
-    'indefinite': (start(variances=(0.25, 0.25), covariance_xy=0.5), 'positive definite'),
-    'negative': (start(variances=(-0.25, 0.25)), 'positive definite'),
-    'zero': (start(variances=(0.0, 0.0)), 'positive definite'),
-    'nan covariance': (start(variances=(float('nan'), 0.25)), 'finite'),
-    'infinite covariance': (start(variances=(0.25, float('inf'))), 'finite'),
-    'nan position': (start(x=float('nan')), 'finite'),
-    'infinite position': (start(y=-float('inf')), 'finite'),
-    'off grid': (start(x=3.5), 'on the grid'),
-    'other frame': (start(frame='odom'), "'odom'"),
+    'indefinite': (start(covariance_xy=0.5), 'positive definite', 'bad covariance'),
+    'negative': (start(variances=(-0.25, 0.25)), 'positive definite', 'bad covariance'),
+    'zero': (start(variances=(0.0, 0.0)), 'positive definite', 'bad covariance'),
+    'nan covariance': (start(variances=(float('nan'), 0.25)), 'finite', 'not finite'),
+    'infinite covariance': (start(variances=(0.25, float('inf'))), 'finite', 'not finite'),
+    'nan position': (start(x=float('nan')), 'finite', 'not finite'),
+    'infinite position': (start(y=-float('inf')), 'finite', 'not finite'),
+    'off grid': (start(x=3.5), 'on the grid', 'off the grid'),
+    'other frame': (start(frame='odom'), "'odom'", 'other frame'),
 }
 
 
 @pytest.mark.parametrize('kind', NO_START)
 def test_an_initial_pose_that_is_none_gets_its_line_and_its_count_and_changes_nothing(graph, kind):
-    message, word = NO_START[kind]
+    message, word, reason = NO_START[kind]
     rig = Rig(graph, PLANE)
     follow(rig, track())
     before, account = belief(rig), rig.node.accounts.initial_pose
     rig.send('initialpose', message)
     line = rig.line('initialpose: ', 'expected', word)
     assert '\n' not in line
-    assert (account.received, account.accepted, account.rejected.total()) == (1, 0, 1)
+    assert (account.received, account.accepted, account.rejected) == (1, 0, {reason: 1})
     check_same(belief(rig), before)
     assert rig.node.tracker.stamp_ns == track()[-1][0]
     follow(rig, [(T + 600 * MS, 0.5, 1.0)])
@@ -813,6 +813,77 @@ def test_a_jump_back_no_further_than_stamps_may_be_ahead_keeps_the_belief_with_o
     check_same(belief(rig), library(measurements=[*track(3), late]).estimate().belief)
     graph.until(lambda: any('jumped' in log.msg for log in logged), 'a line')
     assert sum('jumped' in log.msg for log in logged) == 1
+    check_healthy(rig)
+
+
+#: How far a simulated clock jumps, and whether the belief goes on then.
+JUMPS = {'+3600 s': (3600.0, True), '-0.3 s': (-0.3, True), '-1 s': (-1.0, True),
+         '-50 s': (-50.0, False), 'back to 0': (-T / SECOND, False)}
+
+
+@pytest.mark.parametrize('kind', JUMPS)
+def test_after_a_jump_of_the_clock_the_next_measurement_is_a_pose_and_the_policy_holds(
+        graph, kind):
+    by, goes_on = JUMPS[kind]
+    rig = Rig(graph, {**SIMULATED, 'time.max_gap': 5000.0})
+    logged = []
+    rig.peer.create_subscription(Log, '/rosout', logged.append, DEEP)
+    before = [(T - 100 * MS, 0.2, 0.1), (T - MS, 0.3, 0.1)]
+    rig.tick(T)
+    follow(rig, before)
+    now = T + round(by * SECOND)
+    rig.tick(now)
+    rig.tick(now + 50 * MS)
+    after = (now + 40 * MS, 0.25, 0.15)
+    count = len(rig.poses)
+    rig.send('fix', fix(*after))
+    rig.handled(3)
+    graph.until(lambda: len(rig.poses) > count, 'a pose')
+    taken = [*before, after] if goes_on else [after]
+    check_same(belief(rig), library({**PLANE, 'time.max_gap': 5000.0}, taken).estimate().belief)
+    lines = 1 if by < 0 else 0
+    graph.until(lambda: sum('clock jumped' in log.msg for log in logged) >= lines, 'a line')
+    assert sum('clock' in log.msg for log in logged) == lines
+    check_healthy(rig)
+
+
+def test_a_recording_that_is_looped_three_times_is_the_same_three_times(graph):
+    rig = Rig(graph, SIMULATED)
+    logged, found = [], []
+    rig.peer.create_subscription(Log, '/rosout', logged.append, DEEP)
+    for _ in range(3):
+        rig.tick(T)
+        for stamp_ns, x, y in track():
+            rig.tick(stamp_ns + 10 * MS)
+            before = rig.node.accounts.sources['main'].received
+            rig.send('fix', fix(stamp_ns, x, y))
+            rig.handled(before + 1)
+        found.append(belief(rig))
+        rig.tick(T + 2 * SECOND)
+    expected = library(measurements=track()).estimate().belief
+    for each in found:
+        check_same(each, expected)
+    assert rig.node.accounts.sources['main'].accepted == 3 * len(TRACK)
+    graph.until(lambda: sum('jumped' in log.msg for log in logged) == 2, 'two lines')
+    check_healthy(rig)
+
+
+@pytest.mark.parametrize('speed', [0.1, 10.0])
+def test_forecasts_are_as_far_apart_as_their_rate_says_however_fast_the_clock_goes(graph, speed):
+    rig = Rig(graph, SIMULATED)
+    rig.tick(T)
+    follow(rig, track(1))
+    # a tick every hundredth of a second of the wall's time
+    step = round(speed * 10 * MS)
+    now = T
+    while now < T + SECOND:
+        now += step
+        rig.tick(now)
+    rig.pose_at(now - 200 * MS)
+    gaps = np.diff(rig.stamps)
+    assert rig.stamps == sorted(set(rig.stamps))
+    # a timer of 0.1 s beats at the first tick after each
+    assert np.all(gaps[1:] <= 100 * MS + step) and np.median(gaps[1:]) >= 100 * MS - step
     check_healthy(rig)
 
 

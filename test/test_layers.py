@@ -62,7 +62,7 @@ LAYERS = [
     ['parameters', 'diagnostics', 'interface', 'scenario'],
     ['conversions'],
     ['sources', 'reference', 'health'],
-    ['inbox', 'outputs', 'simulation_node'],
+    ['inbox', 'outputs', 'simulation_node', 'start'],
     ['filter_node'],
     ['filter_bank'],
     ['node', 'simulate'],
@@ -77,10 +77,10 @@ OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'}
 
 #: Who may speak to rclpy, and who of them handles messages.
 SPEAKS_ROS = {'parameters', 'outputs', 'filter_node', 'filter_bank', 'node',
-              'interface', 'conversions', 'health', 'timekeeper',
+              'interface', 'conversions', 'health', 'start', 'timekeeper',
               'simulate', 'simulation_node',
               'plaza.player', 'plaza.player_node', 'plaza.recorder', 'plaza.demonstration'}
-HANDLES_MESSAGES = {'conversions', 'interface', 'filter_node', 'simulation_node',
+HANDLES_MESSAGES = {'conversions', 'interface', 'filter_node', 'simulation_node', 'start',
                     'plaza.player_node', 'plaza.recorder'}
 
 
