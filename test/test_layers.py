@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = [
     ['', 'core', 'core.compiler', 'share', 'process'],
     ['core.grid', 'core.posterior'],
+    ['core.modes'],
     ['core.belief'],
     ['core.models', 'core.scoring'],
     ['core.controls', 'core.systems.system', 'core.kernels.settings'],
@@ -33,6 +34,7 @@ LAYERS = [
     ['core.kernels.forms'],
     ['core.kernels', 'core.likelihood'],
     ['core.active.window', 'core.active.settings', 'core.active.compiled'],
+    ['core.active.pieces'],
     ['core.active.belief', 'core.active.flow'],
     ['core.active.regions', 'core.active.resolution', 'core.active.transport'],
     ['core.active.focus', 'core.active.parting'],
