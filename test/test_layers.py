@@ -62,9 +62,10 @@ LAYERS = [
     ['stopwatch', 'timekeeper', 'traffic'],
     ['accounts'],
     ['parameters', 'diagnostics', 'interface', 'scenario'],
-    ['conversions'],
-    ['sources', 'reference', 'health'],
-    ['inbox', 'outputs', 'simulation_node'],
+    ['conversions', 'pace'],
+    ['sources', 'reference', 'health', 'mode_messages'],
+    ['inbox', 'mode_outputs', 'simulation_node'],
+    ['outputs'],
     ['filter_node'],
     ['filter_bank'],
     ['node', 'simulate'],
@@ -78,11 +79,11 @@ OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'}
             'core.posterior': {'numba'}}
 
 #: Who may speak to rclpy, and who of them handles messages.
-SPEAKS_ROS = {'parameters', 'outputs', 'filter_node', 'filter_bank', 'node',
-              'interface', 'conversions', 'health', 'timekeeper',
+SPEAKS_ROS = {'parameters', 'outputs', 'mode_outputs', 'filter_node', 'filter_bank', 'node',
+              'interface', 'conversions', 'mode_messages', 'health', 'timekeeper',
               'simulate', 'simulation_node',
               'plaza.player', 'plaza.player_node', 'plaza.recorder', 'plaza.demonstration'}
-HANDLES_MESSAGES = {'conversions', 'interface', 'filter_node', 'simulation_node',
+HANDLES_MESSAGES = {'conversions', 'mode_messages', 'interface', 'filter_node', 'simulation_node',
                     'plaza.player_node', 'plaza.recorder'}
 
 

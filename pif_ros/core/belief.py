@@ -147,8 +147,9 @@ class GridBelief:
         """
         w = self._weights
         cell = np.flatnonzero(densest(w, w, max(share, NEARLY_ALL)))
-        return modes(Pieces(self.grid, cell, self.grid.points[:, cell], w[cell], w[cell]),
-                     share, most)
+        points = np.array([x[i] for x, i in zip(self.grid.axes,
+                                                np.unravel_index(cell, self.grid.shape))])
+        return modes(Pieces(self.grid, cell, points, w[cell], w[cell]), share, most)
 
     def edge_mass(self) -> float:
         """Return the share of the mass in the outermost cells of the axes that are not circles."""

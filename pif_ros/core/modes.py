@@ -63,16 +63,17 @@ def modes(pieces: Pieces, share: float = SHARE, most: int = MOST) -> list[Mode]:
 
     A hump is a connected part of the smallest region that holds this share of the mass, over
     sides, corners and periodic edges; and with it what of the other pieces belongs to it rather
-    than to another.  What lies in smaller humps belongs to none.
+    than to another.
     """
     inside = densest(pieces.density, pieces.mass, share)
     inner = pieces.some(inside)
     part = np.empty(len(inside), np.int64)
-    part[inside] = _heaviest(inner.mass, _hang_together(inner), most)
+    # what is too light is one hump together, to which something may belong too
+    part[inside] = np.minimum(_by_weight(inner.mass, _hang_together(inner)), most)
     if len(inner.mass) < len(inside):
         cores = _moments(inner, part[inside])
         part[~inside] = _nearest(pieces.some(~inside), cores)
-    return sorted(_moments(pieces, part), key=lambda mode: -mode.mass)
+    return sorted(_moments(pieces, part)[:most], key=lambda mode: -mode.mass)
 
 
 def densest(density: Array, mass: Array, amount: float) -> Mask:
@@ -159,19 +160,16 @@ def _links(first: Integers, last: Integers, width: int, stretch: Stretch) -> Int
     return np.stack([np.repeat(runs, count), others])
 
 
-def _heaviest(mass: Array, part: Integers, most: int) -> Integers:
-    """Return the parts of pieces numbered by weight, the heaviest 0; -1 for what is too many."""
-    held = np.bincount(part, mass)
-    heaviest = np.argsort(-held, kind='stable')[:most]
-    rank = np.full(len(held), -1)
-    rank[heaviest] = np.arange(len(heaviest))
+def _by_weight(mass: Array, part: Integers) -> Integers:
+    """Return the parts of pieces numbered by weight, the heaviest 0, (N,)."""
+    order = np.argsort(-np.bincount(part, mass), kind='stable')
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
     return rank[part]
 
 
 def _moments(pieces: Pieces, part: Integers) -> list[Mode]:
-    """Return the parts of some pieces, which are numbered from 0 on; -1 is none."""
-    if part.min() < 0:
-        pieces, part = pieces.some(part >= 0), part[part >= 0]
+    """Return the parts of some pieces, which are numbered from 0 on."""
     grid, x, w = pieces.grid, pieces.points, pieces.mass
     mass = np.bincount(part, w)
     mean = np.array([np.bincount(part, w * row) for row in x]) / mass

@@ -13,6 +13,7 @@ from pif_ros.core.active.window import Window
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
 from pif_ros.core.modes import densest, Mode, modes, MOST, NEARLY_ALL, Pieces, SHARE
+from scipy import special
 
 Array = NDArray[np.float64]
 
@@ -109,7 +110,7 @@ class ActiveBelief:
     def entropy(self) -> float:
         """Return the differential entropy in nats."""
         found = self._pieces()
-        return float(-found.mass @ np.log(found.density))
+        return -float(special.xlogy(found.mass, found.density).sum())
 
     def modes(self, share: float = SHARE, most: int = MOST) -> list[Mode]:
         """

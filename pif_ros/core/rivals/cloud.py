@@ -12,7 +12,7 @@ from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
 from pif_ros.core.modes import densest, Mode, modes, MOST, NEARLY_ALL, Pieces, SHARE
 from pif_ros.core.rivals.passage import circles, short_way, wrapped
-from scipy import ndimage
+from scipy import ndimage, special
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -105,7 +105,7 @@ class ParticleBelief:
     def entropy(self) -> float:
         """Return the differential entropy in nats, with the density that the modes are of."""
         found = self._pieces()
-        return float(-found.mass @ np.log(found.density))
+        return -float(special.xlogy(found.mass, found.density).sum())
 
     def modes(self, share: float = SHARE, most: int = MOST) -> list[Mode]:
         """
