@@ -265,7 +265,7 @@ def test_patches_that_overlap_are_one_density(seed):
     belief = ActiveBelief(YARD, tuple(Patch(Window.whole(YARD), full.density * share)
                                       for share in shares))
     # the last cell of a region may be cut between patches: 1e-6 of the mass, 50 m away
-    same_modes(belief.modes(), full.modes(), atol=1e-3)
+    same_modes(belief.modes(), full.modes(), atol=3e-3)
     assert belief.entropy() == pytest.approx(full.entropy(), abs=1e-9)
 
 
