@@ -54,12 +54,12 @@ class ModeOutputs:
 
     def publish(self, belief: Any, stamp_ns: int) -> None:
         """Publish the modes of a belief that holds at a stamp, when due and where heard."""
-        heard = {out: publisher for out, publisher in self._publishers.items()
-                 if publisher.get_subscription_count()}
-        if not heard or not self._pace.is_due(stamp_ns):
+        if not self._pace.is_due(stamp_ns):
             return
         with self._pace.making(stamp_ns):
-            modes = belief.modes(self._share)
+            heard = {out: publisher for out, publisher in self._publishers.items()
+                     if publisher.get_subscription_count()}
+            modes = belief.modes(self._share) if heard else []
             if interface.MODES in heard:
                 heard[interface.MODES].publish(mode_messages.modes_message(modes, self._names))
             if interface.MARKERS in heard:
