@@ -21,7 +21,7 @@ Indices = NDArray[np.intp]
 CROWD, CANDIDATES = 4096, 256
 #: For the modes, the cells of the smoothed histogram at most, and how far it goes beyond the
 #: particles, in cells: as far as one of them is smeared.
-BINS, BEYOND = 2**18, 3
+BINS, BEYOND = 2**20, 3
 #: Fewer equal particles than this are no hump of their own.
 SEVERAL = 10
 
