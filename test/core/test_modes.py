@@ -327,6 +327,22 @@ def test_the_world_s_edge_is_its_outermost_wide_cells_however_fine_those_are_cut
     assert fine.edge_mass() == pytest.approx(expected, abs=1e-12)
 
 
+def test_halves_that_reach_beyond_the_world_are_at_its_edge_not_at_the_other_end():
+    near = np.array([-49.8, 0.0])
+    d = YARD.points - near[:, None]
+    p = np.exp(-0.5 * (d * d).sum(axis=0) / 0.4**2).reshape(YARD.shape)
+    belief = fitted(ActiveBelief(YARD, (Patch(Window.whole(YARD), p),)),
+                    RegionSettings(resolution=3)).normalised()
+    assert belief.patches[0].window.offset[0] < 0
+    shown = belief.on(YARD, (0, 1))
+    assert shown.mass == pytest.approx(1, abs=1e-12)
+    assert not shown.density[10:].any()
+    [mode] = belief.modes()
+    # at the edge half of the hump is cut off: 0.4 * sqrt(2 / pi) = 0.3 beyond the middle at most
+    assert np.all(np.abs(mode.mean - near) < 0.35)
+    assert belief.edge_mass() == pytest.approx(shown.density[0].sum() * YARD.cell_volume, abs=1e-9)
+
+
 def test_pieces_of_very_different_cells_are_bounded_and_keep_the_moments():
     d = np.arange(-40, 40)[:, None]**2 + np.arange(-40, 40)**2
     sharp = patch(YARD, (8, 8), (100 * 256, 100 * 256), 1e3 * np.exp(-d / 200.0))
