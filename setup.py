@@ -33,6 +33,7 @@ setup(
             'ros-jazzy-sensor-msgs',
             'ros-jazzy-std-msgs',
             'ros-jazzy-std-srvs',
+            'ros-jazzy-visualization-msgs',
         ],
         'plot': ['matplotlib', 'tqdm', 'joblib'],
         'wavelets': ['PyWavelets'],

@@ -73,6 +73,7 @@ class FilterNode(Node):
                               self._on_diagnostics)
         self._live: dict[str, Any] = {'pose.estimator': self.config.pose.estimator,
                                       'density.rate': self.config.density.rate,
+                                      'modes.rate': self.config.modes.rate,
                                       **{f'measurements.{name}.enabled': source.enabled
                                          for name, source
                                          in self.config.measurements.sources.items()}}

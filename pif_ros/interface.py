@@ -11,6 +11,7 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy, qos_profile_services_default, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Empty, Trigger
+from visualization_msgs.msg import MarkerArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +51,16 @@ DENSITY = Endpoint('~/density', Float64MultiArray, 'the density over `density.ax
                    _reliable(1))
 DENSITY_MAP = Endpoint('~/density_map', OccupancyGrid, 'the marginal over x and y of the pose, '
                        'for RViz and Foxglove: 100 in the densest cell', _LATCHED)
+MODES = Endpoint('~/modes', Float64MultiArray, 'one row for each hump of the density, heaviest '
+                 'first: its mass, mean and covariance, 32 at most; at most at `modes.rate`, '
+                 'where someone listens; `layout.dim` says what is where', _reliable(10))
+MARKERS = Endpoint('~/markers', MarkerArray, 'the same for RViz and Foxglove, where x or y of the '
+                   'pose is estimated: an ellipse that holds 95 % of a Gaussian (2.45 sigma), and '
+                   'its mass', _reliable(10))
 DIAGNOSTICS = Endpoint('/diagnostics', DiagnosticArray, 'once a second: the belief (mass, what '
                        'was dropped as negligible, cells, standard deviations) and what became of '
                        "every source's messages", _reliable(10))
-PUBLICATIONS = (POSE, POSE_UNSTAMPED, DENSITY, DENSITY_MAP, DIAGNOSTICS)
+PUBLICATIONS = (POSE, POSE_UNSTAMPED, DENSITY, DENSITY_MAP, MODES, MARKERS, DIAGNOSTICS)
 
 INITIAL_POSE = Endpoint('initialpose', PoseWithCovarianceStamped, 'restarts the belief '
                         "there; RViz's 2D Pose Estimate", _reliable(10))

@@ -1,4 +1,4 @@
-"""What the node publishes: an estimate as pose, density and map."""
+"""What the node publishes: an estimate as pose, density and map; and its modes."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import Any
 
 from pif_ros import conversions, interface
 from pif_ros.config import Config, ConfigError, state_axes
-from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import StateModel
+from pif_ros.mode_outputs import estimate, ModeOutputs
+from pif_ros.pace import Pace
 from rclpy.node import Node
 
 
@@ -31,10 +32,11 @@ class Outputs:
         if None in shown:
             raise ConfigError("density.axes: expected names of states, got ''")
         self._density_axes = [axis for axis in shown if axis is not None]
-        self._density_ns: int | None = None
         # one for all, since to make it takes as long as to send it
         self._pose = interface.POSE.type()
         self._pose.header.frame_id = config.frame_id
+        self._pace = Pace(live, 'density.rate')
+        self._modes = ModeOutputs(node, config, model.names, self.pose_axes[:3], live)
         wanted = [interface.POSE, interface.POSE_UNSTAMPED, interface.DENSITY]
         if len(self._plane) == 2:
             wanted.append(interface.DENSITY_MAP)
@@ -43,17 +45,26 @@ class Outputs:
 
     def publish(self, belief: Any, stamp_ns: int) -> None:
         """Publish a belief that holds at a stamp; a density when it is due and on the grid."""
-        frame, message = self._config.frame_id, self._pose
-        point = belief.mode() if self._live['pose.estimator'] == 'mode' else belief.mean()
-        conversions.fill_pose(message.pose, point, belief.covariance(about=point), self.pose_axes,
+        message = self._pose
+        point, covariance = estimate(belief, self._live['pose.estimator'],
+                                     self._config.modes.share)
+        conversions.fill_pose(message.pose, point, covariance, self.pose_axes,
                               self._config.pose.unestimated_variance)
         message.header.stamp = conversions.stamp_from_ns(stamp_ns)
         self._publishers[interface.POSE].publish(message)
         if self._is_heard(interface.POSE_UNSTAMPED):
             self._publishers[interface.POSE_UNSTAMPED].publish(message.pose)
-        if not self._is_due(stamp_ns):
-            return
-        self._density_ns = stamp_ns
+        self._modes.publish(belief, stamp_ns)
+        if self._pace.is_due(stamp_ns):
+            with self._pace.making(stamp_ns):
+                self._publish_density(belief, stamp_ns)
+
+    def restart(self) -> None:
+        """Let the next density and the next modes go out at once."""
+        self._pace.restart()
+        self._modes.restart()
+
+    def _publish_density(self, belief: Any, stamp_ns: int) -> None:
         if self._is_heard(interface.DENSITY):
             names, units = self._model.names, self._model.units
             density = belief.on(self._grid, self._density_axes)
@@ -65,16 +76,7 @@ class Outputs:
             density = belief.on(self._grid, self._plane)
             if density.mass > 0:
                 self._publishers[interface.DENSITY_MAP].publish(
-                    conversions.map_message(density, stamp_ns, frame))
-
-    def restart(self) -> None:
-        """Let the next density go out at once."""
-        self._density_ns = None
-
-    def _is_due(self, stamp_ns: int) -> bool:
-        rate = self._live['density.rate']
-        return bool(rate) and (self._density_ns is None
-                               or stamp_ns >= self._density_ns + NANOSECONDS / rate)
+                    conversions.map_message(density, stamp_ns, self._config.frame_id))
 
     def _is_heard(self, out: interface.Endpoint) -> bool:
         publisher = self._publishers.get(out)

@@ -60,7 +60,9 @@ WRONG = [
     wrong('filter.type', 'kalman', 'df'),
     wrong('filter.scheme', 'strang', 'symmetric', 'pre_printed'),
     wrong('prior.type', 'flat', 'gaussian', 'uniform'),
-    wrong('pose.estimator', 'median', 'mean', 'mode'),
+    wrong('pose.estimator', 'median', 'mean', 'mode', 'heaviest_mode'),
+    wrong('modes.share', 1.0, 'below 1'),
+    wrong('modes.rate', -1.0, '0 or more'),
     wrong('kernel.jacobian', 'exact', 'determinant', 'exponential'),
     wrong('kernel.weights', 'all', 'auto', 'sampled', 'moments'),
     wrong('measurements.main.sensor', 'sonar', 'position', 'range', 'bearing', of=PLANE),
@@ -288,7 +290,7 @@ INTEGERS = {
     'filter.significance': 0, 'diagnostics.rate': 2, 'diagnostics.max_age': [1, 2],
     'diagnostics.max_delay': [1, 1], 'diagnostics.max_refused': [0, 1],
     'diagnostics.max_lost_mass': [0, 1], 'diagnostics.max_edge_mass': [0, 1],
-    'diagnostics.max_busy': [0, 1],
+    'diagnostics.max_busy': [0, 1], 'modes.rate': 3, 'modes.share': 0,
     'filter.resample_below': 1, 'operator.threshold': 0,
     'model.params.sigma_x': 1, 'model.params.sigma_y': 2}
 

@@ -143,6 +143,8 @@ TOPICS = {
     '~/pose_unstamped': ('geometry_msgs/msg/PoseWithCovariance', 'RELIABLE', 'VOLATILE'),
     '~/density': ('std_msgs/msg/Float64MultiArray', 'RELIABLE', 'VOLATILE'),
     '~/density_map': ('nav_msgs/msg/OccupancyGrid', 'RELIABLE', 'TRANSIENT_LOCAL'),
+    '~/modes': ('std_msgs/msg/Float64MultiArray', 'RELIABLE', 'VOLATILE'),
+    '~/markers': ('visualization_msgs/msg/MarkerArray', 'RELIABLE', 'VOLATILE'),
     '/diagnostics': ('diagnostic_msgs/msg/DiagnosticArray', 'RELIABLE', 'VOLATILE')}
 HEARD = {
     'initialpose': ('geometry_msgs/msg/PoseWithCovarianceStamped', 'RELIABLE', 'VOLATILE'),
@@ -678,7 +680,7 @@ def test_of_parameters_set_together_none_is_set_where_one_is_refused(graph):
     [answer] = set_parameters(rig, atomically=True, density__rate=7.0, pose__estimator='median')
     assert not answer.successful
     assert rig.node.get_parameter('density.rate').value == 1.0
-    assert rig.node._live == {'density.rate': 1.0, 'pose.estimator': 'mean',
+    assert rig.node._live == {'density.rate': 1.0, 'modes.rate': 5.0, 'pose.estimator': 'mean',
                               'measurements.main.enabled': True}
 
 

@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = [
     ['', 'core', 'core.compiler', 'share', 'process'],
     ['core.grid', 'core.posterior'],
+    ['core.modes'],
     ['core.belief'],
     ['core.models', 'core.scoring'],
     ['core.controls', 'core.systems.system', 'core.kernels.settings'],
@@ -33,6 +34,7 @@ LAYERS = [
     ['core.kernels.forms'],
     ['core.kernels', 'core.likelihood'],
     ['core.active.window', 'core.active.settings', 'core.active.compiled'],
+    ['core.active.pieces'],
     ['core.active.belief', 'core.active.flow'],
     ['core.active.regions', 'core.active.resolution', 'core.active.transport'],
     ['core.active.focus', 'core.active.parting'],
@@ -60,9 +62,10 @@ LAYERS = [
     ['stopwatch', 'timekeeper', 'traffic'],
     ['accounts'],
     ['parameters', 'diagnostics', 'interface', 'scenario'],
-    ['conversions'],
-    ['sources', 'reference', 'health'],
-    ['inbox', 'outputs', 'simulation_node', 'start'],
+    ['conversions', 'pace'],
+    ['sources', 'reference', 'health', 'mode_messages'],
+    ['inbox', 'mode_outputs', 'simulation_node', 'start'],
+    ['outputs'],
     ['filter_node'],
     ['filter_bank'],
     ['node', 'simulate'],
@@ -76,11 +79,12 @@ OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'}
             'core.posterior': {'numba'}}
 
 #: Who may speak to rclpy, and who of them handles messages.
-SPEAKS_ROS = {'parameters', 'outputs', 'filter_node', 'filter_bank', 'node',
-              'interface', 'conversions', 'health', 'start', 'timekeeper',
+SPEAKS_ROS = {'parameters', 'outputs', 'mode_outputs', 'filter_node', 'filter_bank', 'node',
+              'interface', 'conversions', 'mode_messages', 'health', 'start', 'timekeeper',
               'simulate', 'simulation_node',
               'plaza.player', 'plaza.player_node', 'plaza.recorder', 'plaza.demonstration'}
-HANDLES_MESSAGES = {'conversions', 'interface', 'filter_node', 'simulation_node', 'start',
+HANDLES_MESSAGES = {'conversions', 'mode_messages', 'interface', 'filter_node', 'simulation_node',
+                    'start',
                     'plaza.player_node', 'plaza.recorder'}
 
 

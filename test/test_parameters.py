@@ -13,7 +13,7 @@ PLANE = {
     'measurements.gps.sensor': 'position', 'measurements.gps.params.sigma': 0.5,
     'measurements.tower.sensor': 'range', 'measurements.tower.params.sigma': 0.5,
     'measurements.tower.params.landmark': [4.0, 4.0]}
-LIVE = {'pose.estimator', 'density.rate'}
+LIVE = {'pose.estimator', 'density.rate', 'modes.rate'}
 
 
 @pytest.fixture

@@ -180,8 +180,10 @@ class PoseConfig:
 
     axes: tuple[str, ...] = parameter((), NAMES, 'states that are x, y, z, roll, pitch, yaw, in '
                                       "that order; '': not estimated; empty: the first two")
-    estimator: str = parameter('mean', one_of('mean', 'mode'), 'point that is published; the '
-                               'covariance is about it', live=True)
+    estimator: str = parameter('mean', one_of('mean', 'mode', 'heaviest_mode'), 'point that is '
+                               'published, and whose covariance: the mean; the densest point and '
+                               'the second moments about it; mean and covariance of the heaviest '
+                               'of the modes', live=True)
     unestimated_variance: float = parameter(0.0, NOT_NEGATIVE, 'variance on the axes of the pose '
                                             'that are not estimated')
 
@@ -201,6 +203,17 @@ class DensityConfig:
     rate: float = parameter(1.0, NOT_NEGATIVE, 'densities, where someone listens; 0: none', 'Hz',
                             live=True)
     axes: tuple[str, ...] = parameter((), NAMES, 'states whose marginal is published; empty: all')
+
+
+@dataclass(frozen=True)
+class ModesConfig:
+    """What of the density is a hump, and how often that goes out."""
+
+    rate: float = parameter(5.0, NOT_NEGATIVE, 'modes and markers, where someone listens; less '
+                            'often where finding them takes a tenth of the time; 0: none', 'Hz',
+                            live=True)
+    share: float = parameter(0.95, PART, 'modes are the connected parts of the smallest region '
+                             'that holds this share of the mass, each with what lies around it')
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from typing import Any
 from pif_ros.config.kinds import ConfigError, NAME, parameter, taken, Value
 from pif_ros.config.sections import (ControlConfig, DensityConfig, DiagnosticsConfig, FilterConfig,
                                      GridConfig, KernelConfig, MeasurementsConfig, ModelConfig,
-                                     OperatorConfig, PoseConfig, PriorConfig, PublishConfig,
-                                     RegionConfig, SourceConfig, TimeConfig)
+                                     ModesConfig, OperatorConfig, PoseConfig, PriorConfig,
+                                     PublishConfig, RegionConfig, SourceConfig, TimeConfig)
 import yaml
 
 
@@ -40,6 +40,7 @@ class Config:
     pose: PoseConfig = field(default_factory=PoseConfig)
     publish: PublishConfig = field(default_factory=PublishConfig)
     density: DensityConfig = field(default_factory=DensityConfig)
+    modes: ModesConfig = field(default_factory=ModesConfig)
     time: TimeConfig = field(default_factory=TimeConfig)
     diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)
 
@@ -97,8 +98,8 @@ _SECTIONS: Mapping[str, type] = {
     'model': ModelConfig, 'grid': GridConfig, 'region': RegionConfig, 'prior': PriorConfig,
     'filter': FilterConfig, 'kernel': KernelConfig, 'operator': OperatorConfig,
     'measurements': MeasurementsConfig, 'control': ControlConfig, 'pose': PoseConfig,
-    'publish': PublishConfig, 'density': DensityConfig, 'time': TimeConfig,
-    'diagnostics': DiagnosticsConfig}
+    'publish': PublishConfig, 'density': DensityConfig, 'modes': ModesConfig,
+    'time': TimeConfig, 'diagnostics': DiagnosticsConfig}
 
 
 def _section(section: type, prefix: str, left: dict[str, Value]) -> Any:

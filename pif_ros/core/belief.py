@@ -9,19 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.grid import Grid
-from scipy import ndimage, sparse
-from scipy.sparse import csgraph
+from pif_ros.core.modes import densest, Mode, modes, MOST, NEARLY_ALL, Pieces, SHARE
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Mode:
-    """A hump of a density: the mass in it, its mean (n,) and covariance (n, n)."""
-
-    mass: float
-    mean: Array
-    covariance: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,22 +136,25 @@ class GridBelief:
     def highest_density_region(self, share: float) -> NDArray[np.bool_]:
         """Return the smallest set of cells that holds this share of the mass, grid.shape."""
         w = self._weights
-        order = np.argsort(-w, kind='stable')
-        count = int(np.searchsorted(np.cumsum(w[order]), share)) + 1
-        inside = np.zeros(w.size, dtype=bool)
-        inside[order[:count]] = True
-        return inside.reshape(self.grid.shape)
+        return densest(w, w, share).reshape(self.grid.shape)
 
-    def modes(self, share: float = 0.95) -> list[Mode]:
-        """Return the connected parts of a region of highest density, heaviest first."""
-        region = self.highest_density_region(share)
-        labels, count = _connected(region, self.grid.periodic)
-        modes = []
-        for label in range(1, count + 1):
-            part = GridBelief(self.grid, np.where(labels == label, self.density, 0.0))
-            mass = float(self._weights[(labels == label).ravel()].sum())
-            modes.append(Mode(mass, part.mean(), part.covariance()))
-        return sorted(modes, key=lambda mode: -mode.mass)
+    def modes(self, share: float = SHARE, most: int = MOST) -> list[Mode]:
+        """
+        Return the humps, heaviest first, the most that are wanted.
+
+        Those are the connected parts of the region of highest density with this share of the
+        mass, each with what lies around it; their masses sum to nearly 1.
+        """
+        w = self._weights
+        cell = np.flatnonzero(densest(w, w, max(share, NEARLY_ALL)))
+        points = np.array([x[i] for x, i in zip(self.grid.axes,
+                                                np.unravel_index(cell, self.grid.shape))])
+        return modes(Pieces(self.grid, cell, points, w[cell], w[cell]), share, most)
+
+    def edge_mass(self) -> float:
+        """Return the share of the mass in the outermost cells of the axes that are not circles."""
+        inner = tuple(slice(None) if round_ else slice(1, -1) for round_ in self.grid.periodic)
+        return max(1 - float(self.density[inner].sum() / self.density.sum()), 0.0)
 
 
 def check_covariance(name: str, covariance: Array, size: int) -> None:
@@ -175,21 +168,3 @@ def check_covariance(name: str, covariance: Array, size: int) -> None:
         raise ValueError(f'{name}: expected a symmetric matrix, got {covariance.tolist()}')
     if np.linalg.eigvalsh(covariance)[0] <= 0:
         raise ValueError(f'{name}: expected a positive definite matrix, got {covariance.tolist()}')
-
-
-def _connected(region: NDArray[np.bool_],
-               periodic: Sequence[bool]) -> tuple[NDArray[np.int_], int]:
-    """Label the connected parts of a region, across periodic edges too: labels 1 to count."""
-    labels, _ = ndimage.label(region, np.ones((3,) * region.ndim))
-    # round every periodic edge the region goes on: a copy of a cell is the cell
-    around = [(int(round_), int(round_)) for round_ in periodic]
-    copies = np.pad(labels, around, mode='wrap')
-    joined, _ = ndimage.label(copies > 0, np.ones((3,) * region.ndim))
-    pairs = np.unique(np.stack([joined[copies > 0], copies[copies > 0] + joined.max()]), axis=1)
-    links = sparse.coo_array((np.ones(pairs.shape[1]), tuple(pairs)),
-                             shape=(pairs.max(initial=0) + 1,) * 2)
-    _, part = csgraph.connected_components(links, directed=False)
-    found, number = np.unique(part[labels[region] + joined.max()], return_inverse=True)
-    numbers = np.zeros(region.shape, dtype=int)
-    numbers[region] = number + 1
-    return numbers, len(found)

@@ -8,9 +8,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pif_ros.core.active.pieces import pieces
 from pif_ros.core.active.window import Window
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
+from pif_ros.core.modes import densest, Mode, modes, MOST, NEARLY_ALL, Pieces, SHARE
+from scipy import special
 
 Array = NDArray[np.float64]
 
@@ -104,6 +107,31 @@ class ActiveBelief:
         density = np.transpose(mass, [kept.index(i) for i in axes]) / cells.cell_volume
         return GridBelief(cells, density)
 
+    def entropy(self) -> float:
+        """Return the differential entropy in nats."""
+        found = self._pieces()
+        return -float(special.xlogy(found.mass, found.density).sum())
+
+    def modes(self, share: float = SHARE, most: int = MOST) -> list[Mode]:
+        """
+        Return the humps, heaviest first, the most that are wanted; as of GridBelief.
+
+        Humps hang together where their cells touch, whatever patch these are of.  Where patches
+        of very different cells make too many of the finest, these are taken together.
+        """
+        found = self._pieces()
+        return modes(found.some(densest(found.density, found.mass, max(share, NEARLY_ALL))),
+                     share, most)
+
+    def edge_mass(self) -> float:
+        """Return the share of the mass in the world's outermost cells, as wide as its widest."""
+        inner = sum(_inner_mass(patch) for patch in self.patches)
+        return max(1 - inner / self.mass, 0.0)
+
+    def _pieces(self) -> Pieces:
+        return pieces(self.base, [patch.window for patch in self.patches],
+                      [patch.density for patch in self.patches])
+
     def _mean_on(self, axis: int) -> float:
         base = self.base
         coordinates = np.concatenate([p.window.grid.axes[axis] for p in self.patches])
@@ -124,6 +152,17 @@ def _deviations(base: Grid, window: Window, axis: int, point: float) -> Array:
     return d
 
 
+def _inner_mass(patch: Patch) -> float:
+    """Return the mass of a patch that is not in the outermost cells of the base."""
+    window, inner = patch.window, patch.density
+    for axis, round_ in enumerate(window.base.periodic):
+        if not round_:
+            cell = (window.offset[axis] + np.arange(window.shape[axis])) >> window.level[axis]
+            last = window.base.shape[axis] - 1
+            inner = inner.compress((0 < cell) & (cell < last), axis)
+    return float(inner.sum() * window.spacing.prod())
+
+
 def _inside(base: Grid, x: Array) -> Array:
     """Return a state with what is periodic between its edges."""
     for i, round_ in enumerate(base.periodic):
@@ -139,6 +178,9 @@ def _add(mass: Array, patch: Patch, axes: Sequence[int]) -> None:
     places = []
     for k, axis in enumerate(axes):
         cell = (window.offset[axis] + np.arange(window.shape[axis])) >> window.level[axis]
+        if not window.base.periodic[axis]:
+            # halves reach a little beyond the edge of the world
+            cell = np.clip(cell, 0, window.base.shape[axis] - 1)
         starts = np.flatnonzero(np.diff(cell, prepend=cell[0] - 1))
         part = np.add.reduceat(part, starts, axis=k)
         places.append(cell[starts] % patch.window.base.shape[axis])

@@ -12,6 +12,7 @@ from pif_ros.core.continuous.increments import Increments
 from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor
+from pif_ros.core.modes import Mode, MOST, SHARE
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,12 @@ class Believed(Protocol):
 
     def covariance(self, about: ArrayLike | None = None) -> Array:
         """Return the second moments about a point (the mean where none is given), (n, n)."""
+
+    def entropy(self) -> float:
+        """Return the differential entropy in nats."""
+
+    def modes(self, share: float = SHARE, most: int = MOST) -> list[Mode]:
+        """Return the humps, heaviest first, the most that are wanted."""
 
     def on(self, grid: Grid, axes: Sequence[int]) -> Any:
         """Return the density of some axes on the cells of a grid."""
@@ -94,9 +101,21 @@ class PathBelief(Generic[Inner]):
         """Return the second moments about a point (the mean where none is given), (n, n)."""
         return self.now.covariance(about)
 
+    def entropy(self) -> float:
+        """Return the differential entropy in nats."""
+        return self.now.entropy()
+
+    def modes(self, share: float = SHARE, most: int = MOST) -> list[Mode]:
+        """Return the humps, heaviest first, the most that are wanted."""
+        return self.now.modes(share, most)
+
     def on(self, grid: Grid, axes: Sequence[int]) -> Any:
         """Return the density of some axes on the cells of a grid."""
         return self.now.on(grid, axes)
+
+    def edge_mass(self) -> float:
+        """Return the share of the mass at the grid's edge; AttributeError where there is none."""
+        return self.now.edge_mass()  # type: ignore[attr-defined]
 
     @property
     def grid(self) -> Grid:

@@ -16,6 +16,7 @@ from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor, StateModel
+from pif_ros.core.modes import Mode, MOST, SHARE
 from pif_ros.core.rivals.passage import (check_box, circles, driven_steps, known, LARGEST,
                                          short_way, step_ns, wrapped)
 
@@ -62,6 +63,14 @@ class GaussianBelief:
             return self.spread
         d = short_way(self.location - np.asarray(about, dtype=float), self.box)
         return self.spread + np.outer(d, d)
+
+    def entropy(self) -> float:
+        """Return the differential entropy in nats, log det(2 pi e P) / 2."""
+        return float(np.linalg.slogdet(2 * np.pi * math.e * self.spread)[1]) / 2
+
+    def modes(self, share: float = SHARE, most: int = MOST) -> list[Mode]:
+        """Return the one hump that there is, none where the belief was lost."""
+        return [Mode(1.0, self.location, self.spread)] if self.mass else []
 
     def on(self, grid: Grid, axes: Sequence[int]) -> GridBelief:
         """
