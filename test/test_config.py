@@ -288,7 +288,7 @@ INTEGERS = {
     'filter.significance': 0, 'diagnostics.rate': 2, 'diagnostics.max_age': [1, 2],
     'diagnostics.max_delay': [1, 1], 'diagnostics.max_refused': [0, 1],
     'diagnostics.max_lost_mass': [0, 1], 'diagnostics.max_edge_mass': [0, 1],
-    'diagnostics.max_busy': [0, 1],
+    'diagnostics.max_busy': [0, 1], 'checkpoint_period': 5,
     'filter.resample_below': 1, 'operator.threshold': 0,
     'model.params.sigma_x': 1, 'model.params.sigma_y': 2}
 

@@ -48,21 +48,22 @@ LAYERS = [
     ['core.continuous.kalman_bucy', 'core.path_monte_carlo.hamiltonian',
      'core.path_monte_carlo.particles', 'core.path_monte_carlo.tempering'],
     ['core.continuous', 'core.path_monte_carlo.rounds'],
-    ['core.path_monte_carlo.sampler'],
-    ['core.path_monte_carlo'],
-    ['config.kinds'],
+    ['core.path_monte_carlo.sampler', 'core.saved.beliefs'],
+    ['core.path_monte_carlo', 'core.saved.memory'],
+    ['core.saved'],
+    ['config.kinds', 'state_file'],
     ['config.sections'],
     ['config.table'],
-    ['config.filters'],
+    ['config.filters', 'config.identity'],
     ['config.build'],
     ['config.bank'],
     ['config'],
     ['stopwatch', 'timekeeper', 'traffic'],
     ['accounts'],
-    ['parameters', 'diagnostics', 'interface', 'scenario'],
+    ['parameters', 'diagnostics', 'interface', 'scenario', 'keeper'],
     ['conversions'],
     ['sources', 'reference', 'health'],
-    ['inbox', 'outputs', 'simulation_node'],
+    ['inbox', 'outputs', 'resuming', 'simulation_node'],
     ['filter_node'],
     ['filter_bank'],
     ['node', 'simulate'],
@@ -77,10 +78,10 @@ OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'}
 
 #: Who may speak to rclpy, and who of them handles messages.
 SPEAKS_ROS = {'parameters', 'outputs', 'filter_node', 'filter_bank', 'node',
-              'interface', 'conversions', 'health', 'timekeeper',
+              'interface', 'conversions', 'health', 'timekeeper', 'resuming',
               'simulate', 'simulation_node',
               'plaza.player', 'plaza.player_node', 'plaza.recorder', 'plaza.demonstration'}
-HANDLES_MESSAGES = {'conversions', 'interface', 'filter_node', 'simulation_node',
+HANDLES_MESSAGES = {'conversions', 'interface', 'filter_node', 'resuming', 'simulation_node',
                     'plaza.player_node', 'plaza.recorder'}
 
 
