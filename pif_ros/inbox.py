@@ -138,8 +138,7 @@ class Inbox:
 
     def recall(self, memory: Memory[Any]) -> None:
         """Account for what waits, forget it, and go on from what a tracker remembered."""
-        self.drain()
-        self._unjudged.clear()
+        self.restart(None, None)
         self._tracker.recall(memory)
         # what is believed then is worth telling, once it is known again
         self._news = True
