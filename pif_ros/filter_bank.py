@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import functools
+from pathlib import Path
 import re
 import time
 from typing import Any
@@ -42,6 +43,11 @@ class Target(FilterNode):
         # before the process' own arguments, which would put all targets into one namespace
         place = ['--ros-args', '-r', f'__ns:={namespace}', '-r', '__node:=filter_node', '--']
         super().__init__(cli_args=[*place, *(cli_args or ())], **kwargs)
+
+    @property
+    def state_file(self) -> Path | None:
+        """Return where its state is kept, None for nowhere."""
+        return self._keeper.file
 
     def lags(self, estimate: Estimate[Any]) -> int | None:
         """Return the stamp that an estimate is predicted to before it is published, or None."""
@@ -115,6 +121,7 @@ class FilterBank(Node):
             except ConfigError as error:
                 raise ConfigError(f'{place}/filter_node: {error}') from None
         self._check_own(given)
+        _check_files(self.targets)
         self._bank = Bank({name: node.tracker for name, node in self.targets.items()})
         self._start_timers()
         self.get_logger().info(f'targets on one kernel: {", ".join(names)}')
@@ -131,10 +138,10 @@ class FilterBank(Node):
         """Return what became of all targets' measurements, in a line."""
         return '; '.join(f'{name}: {node.accounts}' for name, node in self.targets.items())
 
-    def drain(self) -> None:
-        """Account for what still waits."""
+    def finish(self) -> None:
+        """Account for what still waits, and save what is to outlast the process."""
         for target in self.targets.values():
-            target.drain()
+            target.finish()
 
     def report(self, kind: str, text: str) -> None:
         """Warn of something, at most one line of a kind every few seconds."""
@@ -221,6 +228,16 @@ class FilterBank(Node):
         return [] if min(needed) < step / NANOSECONDS / 2 else [
             f'targets: a step of {step / NANOSECONDS:g} s of all takes {min(needed):.2g} s to '
             'compute: the filters cannot keep up; share the targets among processes']
+
+
+def _check_files(targets: Mapping[str, Target]) -> None:
+    """Refuse a file in which the states of two targets would be kept."""
+    first: dict[Path | None, str] = {}
+    for target in targets.values():
+        name, file = target.get_fully_qualified_name(), target.state_file
+        if file is not None and first.setdefault(file, name) != name:
+            raise ConfigError(f'{name}: state_file: expected a file for each target, got '
+                              f"{str(file)!r}, which is {first[file]}'s")
 
 
 def _targets(given: Any) -> list[str]:

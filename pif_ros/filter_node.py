@@ -15,12 +15,14 @@ from pif_ros.config import build_tracker, ConfigError, describe, find_grid, find
 from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.controls import carries_across
 from pif_ros.core.filters import NANOSECONDS
-from pif_ros.core.tracker import Estimate, Tracker
+from pif_ros.core.tracker import Estimate, Memory, Tracker
 from pif_ros.diagnostics import Facts
 from pif_ros.health import Health
 from pif_ros.inbox import Inbox
+from pif_ros.keeper import Keeper
 from pif_ros.outputs import Outputs
 from pif_ros.process import guarded
+from pif_ros.resuming import Resuming
 from pif_ros.sources import ControlSource, Inlet, Refused, Source
 from pif_ros.start import start_of
 from pif_ros.stopwatch import Stopwatch, TimedFilter
@@ -80,8 +82,11 @@ class FilterNode(Node):
         model = find_system(self.config).model
         self._outputs = Outputs(self, self.config, model, find_grid(self.config, model),
                                 self._live)
+        self._keeper = Keeper(self.config, self.tracker, self.report)
         self._warm_up()
         self._connect()
+        self._resuming = Resuming(self, self._keeper, self._recall, lambda: self._published_ns,
+                                  self._now, self.config.checkpoint_period)
 
     # What comes in
 
@@ -224,6 +229,19 @@ class FilterNode(Node):
     def drain(self) -> None:
         """Account for what still waits."""
         self.inbox.drain()
+
+    def finish(self) -> None:
+        """Account for what still waits, and save what is to outlast the process."""
+        self.drain()
+        self._resuming.finish()
+
+    def _recall(self, memory: Memory[Any], published_ns: int) -> None:
+        self.restarts += 1
+        self._why = 'state_file'
+        self._published_ns = max(self._published_ns, published_ns)
+        self._outputs.restart()
+        self.inbox.recall(memory)
+        self._wake.trigger()
 
     def _restart(self, belief: Any, stamp_ns: int | None, why: str) -> None:
         self.restarts += 1

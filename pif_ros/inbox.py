@@ -11,7 +11,7 @@ from typing import Any
 from pif_ros.accounts import Accounts, SourceAccount
 from pif_ros.config import Config
 from pif_ros.core.filters import NANOSECONDS
-from pif_ros.core.tracker import CorrectionFailed, Estimate, Measurement, Tracker
+from pif_ros.core.tracker import CorrectionFailed, Estimate, Measurement, Memory, Tracker
 from pif_ros.sources import Control, Inlet
 
 #: The belief hardly allows a measurement whose likelihood, averaged over the belief, is less than
@@ -135,6 +135,13 @@ class Inbox:
         self.drain()
         self._unjudged.clear()
         self._tracker.reset(belief, stamp_ns)
+
+    def recall(self, memory: Memory[Any]) -> None:
+        """Account for what waits, forget it, and go on from what a tracker remembered."""
+        self.restart(None, None)
+        self._tracker.recall(memory)
+        # what is believed then is worth telling, once it is known again
+        self._news = True
 
     def _is_overload(self, stamp_ns: int) -> bool:
         """Return whether what is late would keep replays going that never end."""

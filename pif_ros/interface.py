@@ -69,4 +69,7 @@ SUBSCRIPTIONS = (INITIAL_POSE,)
 RESET = Endpoint('~/reset', Trigger, 'back to the prior; it holds at the next measurement')
 GLOBAL = Endpoint('reinitialize_global_localization', Empty, 'uniform over the grid, as nav2 asks '
                   'for it')
-SERVICES = (RESET, GLOBAL)
+SAVE = Endpoint('~/save_state', Trigger, 'saves the state to `state_file` now')
+LOAD = Endpoint('~/load_state', Trigger, 'goes on from `state_file`; what is no state of this '
+                'filter is refused in a line, and nothing is touched')
+SERVICES = (RESET, GLOBAL, SAVE, LOAD)

@@ -24,7 +24,7 @@ def run(name: str, make: Callable[[Sequence[str]], Sequence[Any]],
     Run nodes in a process of that name as main() does.
 
     make: what gives them, once ROS is up, from the process' arguments; the first has accounts, and
-    can be drained.
+    can be finished.
     """
     stopped = Signals()
     logs_to_stdout()
@@ -54,7 +54,7 @@ def run(name: str, make: Callable[[Sequence[str]], Sequence[Any]],
             executor.spin_once(timeout_sec=0.1)
         except Exception as error:  # noqa: B902  a peer's request can make rclpy itself raise
             first.report('rclpy', f'rclpy: {type(error).__name__}: {error}')
-    first.drain()
+    first.finish()
     first.get_logger().info(f'stopped; {first.accounts}')
     executor.shutdown()
     for node in nodes:

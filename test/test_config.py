@@ -291,6 +291,7 @@ INTEGERS = {
     'diagnostics.max_delay': [1, 1], 'diagnostics.max_refused': [0, 1],
     'diagnostics.max_lost_mass': [0, 1], 'diagnostics.max_edge_mass': [0, 1],
     'diagnostics.max_busy': [0, 1], 'modes.rate': 3, 'modes.share': 0,
+    'checkpoint_period': 5,
     'filter.resample_below': 1, 'operator.threshold': 0,
     'model.params.sigma_x': 1, 'model.params.sigma_y': 2}
 

@@ -50,21 +50,22 @@ LAYERS = [
     ['core.continuous.kalman_bucy', 'core.path_monte_carlo.hamiltonian',
      'core.path_monte_carlo.particles', 'core.path_monte_carlo.tempering'],
     ['core.continuous', 'core.path_monte_carlo.rounds'],
-    ['core.path_monte_carlo.sampler'],
-    ['core.path_monte_carlo'],
-    ['config.kinds'],
+    ['core.path_monte_carlo.sampler', 'core.saved.beliefs'],
+    ['core.path_monte_carlo', 'core.saved.memory'],
+    ['core.saved'],
+    ['config.kinds', 'state_file'],
     ['config.sections'],
     ['config.table'],
-    ['config.filters'],
+    ['config.filters', 'config.identity'],
     ['config.build'],
     ['config.bank'],
     ['config'],
     ['stopwatch', 'timekeeper', 'traffic'],
     ['accounts'],
-    ['parameters', 'diagnostics', 'interface', 'scenario'],
+    ['parameters', 'diagnostics', 'interface', 'scenario', 'keeper'],
     ['conversions', 'pace'],
     ['sources', 'reference', 'health', 'mode_messages'],
-    ['inbox', 'mode_outputs', 'simulation_node', 'start'],
+    ['inbox', 'mode_outputs', 'resuming', 'simulation_node', 'start'],
     ['outputs'],
     ['filter_node'],
     ['filter_bank'],
@@ -80,11 +81,11 @@ OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'}
 
 #: Who may speak to rclpy, and who of them handles messages.
 SPEAKS_ROS = {'parameters', 'outputs', 'mode_outputs', 'filter_node', 'filter_bank', 'node',
-              'interface', 'conversions', 'mode_messages', 'health', 'start', 'timekeeper',
-              'simulate', 'simulation_node',
+              'interface', 'conversions', 'mode_messages', 'health', 'resuming', 'start',
+              'timekeeper', 'simulate', 'simulation_node',
               'plaza.player', 'plaza.player_node', 'plaza.recorder', 'plaza.demonstration'}
 HANDLES_MESSAGES = {'conversions', 'mode_messages', 'interface', 'filter_node', 'simulation_node',
-                    'start',
+                    'resuming', 'start',
                     'plaza.player_node', 'plaza.recorder'}
 
 

@@ -3,10 +3,11 @@
 from pif_ros.config.bank import FilterOfMany
 from pif_ros.config.build import build_filter, build_tracker, find_grid, find_system, state_axes
 from pif_ros.config.filters import describe, OF_A_PATH
+from pif_ros.config.identity import identity
 from pif_ros.config.kinds import ConfigError
 from pif_ros.config.sections import ControlConfig, DiagnosticsConfig, SourceConfig
 from pif_ros.config.table import Config, specifications
 
 __all__ = ['Config', 'ConfigError', 'ControlConfig', 'DiagnosticsConfig', 'FilterOfMany',
            'OF_A_PATH', 'SourceConfig', 'build_filter', 'build_tracker', 'describe', 'find_grid',
-           'find_system', 'specifications', 'state_axes']
+           'find_system', 'identity', 'specifications', 'state_axes']

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-import dataclasses
 from typing import Any
 
 from pif_ros.config.build import build_tracker, find_sensors, find_system
+from pif_ros.config.identity import flat, SHARED
 from pif_ros.config.kinds import ConfigError
 from pif_ros.config.table import Config
 from pif_ros.core.bank import Member
 from pif_ros.core.filters import DiracFeynmanFilter, Filter
-
-#: The sections that make the kernel, and with it the filter.
-SHARED = ('model', 'grid', 'region', 'filter', 'kernel', 'operator')
 
 
 class FilterOfMany:
@@ -63,23 +59,13 @@ def _sensors_of(config: Config) -> object:
 def _check_shared(first: str, wanted: Config, given: Config) -> None:
     """Refuse a configuration whose kernel is not that of the first target."""
     for section in SHARED:
-        expected = _flat(section, getattr(wanted, section))
-        found = _flat(section, getattr(given, section))
+        expected = flat(section, getattr(wanted, section))
+        found = flat(section, getattr(given, section))
         for name in {**expected, **found}:
             if expected.get(name) != found.get(name):
                 raise ConfigError(f'{name}: expected {_shown(expected.get(name))} as {first} has, '
                                   'since all targets are on one kernel, got '
                                   f'{_shown(found.get(name))}')
-
-
-def _flat(section: str, settings: Any) -> dict[str, Any]:
-    """Return the parameters of a section by their full names."""
-    flat: dict[str, Any] = {}
-    for field in dataclasses.fields(settings):
-        value, name = getattr(settings, field.name), f'{section}.{field.name}'
-        flat |= ({f'{name}.{key}': each for key, each in value.items()}
-                 if isinstance(value, Mapping) else {name: value})
-    return flat
 
 
 def _shown(value: Any) -> str:

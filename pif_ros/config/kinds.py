@@ -100,6 +100,13 @@ def _duration(value: Value) -> float:
     return number
 
 
+def _period(value: Value) -> float:
+    number = _duration(value)
+    if number and number < 0.1:
+        raise ValueError
+    return number
+
+
 def _bool(value: Value) -> bool:
     if not isinstance(value, bool):
         raise ValueError
@@ -151,6 +158,7 @@ SHARE, PART = Kind('a number from 0 to 1', _share), Kind('a number from 0 to bel
 SEED, STEPS = Kind('a whole number, 0 or more', _seed), Kind('a whole number, 1 to 1000', _steps)
 DURATION = Kind('a number from 0 to 1e9', _duration)
 FREQUENCY = Kind('0, or a number from 0.001 to 1000', _frequency)
+PERIOD = Kind('0, or a number from 0.1 to 1e9', _period)
 BOOL, TEXT, NAME = Kind('true or false', _bool), Kind('text', _text), Kind('a name', _name)
 NUMBERS = Kind('a list of finite numbers', _many(_number))
 LIMITS = Kind('two numbers, 0 or more, the second no less than the first', _limits)

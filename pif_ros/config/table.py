@@ -15,7 +15,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from pif_ros.config.kinds import ConfigError, NAME, parameter, taken, Value
+from pif_ros.config.kinds import ConfigError, NAME, parameter, PERIOD, taken, TEXT, Value
 from pif_ros.config.sections import (ControlConfig, DensityConfig, DiagnosticsConfig, FilterConfig,
                                      GridConfig, KernelConfig, MeasurementsConfig, ModelConfig,
                                      ModesConfig, OperatorConfig, PoseConfig, PriorConfig,
@@ -43,6 +43,11 @@ class Config:
     modes: ModesConfig = field(default_factory=ModesConfig)
     time: TimeConfig = field(default_factory=TimeConfig)
     diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)
+    state_file: str = parameter('', TEXT, 'where the state outlasts a restart: at the start the '
+                                'node goes on from it; saved every `checkpoint_period`, at '
+                                '`~/save_state` and at the end; empty: nowhere')
+    checkpoint_period: float = parameter(10.0, PERIOD, 'how often what is new is saved; 0: only '
+                                         'when asked for and at the end', 's')
 
     @classmethod
     def from_parameters(cls, given: Mapping[str, Value]) -> Config:

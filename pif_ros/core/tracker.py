@@ -61,6 +61,27 @@ class Correction:
     log_peak: float
 
 
+@dataclass(frozen=True)
+class Memory(Generic[Belief]):
+    """
+    All that decides what a tracker will believe: what it starts from, and what it took since.
+
+    anchor: the belief before all else; anchored: the measurement that led to it, None where it is
+    a start; measurements and controls (stamps and values): in their order.  The beliefs after the
+    anchor follow from these to the bit.
+    """
+
+    anchor: Estimate[Belief]
+    anchored: Measurement | None = None
+    measurements: tuple[Measurement, ...] = ()
+    controls: tuple[tuple[int, tuple[float, ...]], ...] = ()
+
+    @property
+    def stamp_ns(self) -> int | None:
+        """Return the newest stamp of a measurement, None before there is one."""
+        return self.measurements[-1].stamp_ns if self.measurements else self.anchor.stamp_ns
+
+
 class Rejection(Enum):
     """Why a measurement or a control cannot be put where it belongs."""
 
@@ -113,6 +134,20 @@ class Tracker(Generic[Belief]):
         self._rung: tuple[Estimate[Belief], int, Belief] | None = None
         self._steered: list[tuple[int, tuple[float, ...]]] = []
         self._controls: Controls | None = None
+
+    def memory(self) -> Memory[Belief]:
+        """Return what decides the future, at the cost of a list: no belief is copied."""
+        return Memory(self._anchor, self._anchored, tuple(self._timeline), tuple(self._steered))
+
+    def recall(self, memory: Memory[Belief]) -> None:
+        """
+        Go on from what a tracker of the same filter remembered, to the bit as that would have.
+
+        The corrections after the anchor are a backlog, which the next estimate makes anew.
+        """
+        self.reset()
+        self._anchor, self._anchored = memory.anchor, memory.anchored
+        self._timeline, self._steered = list(memory.measurements), list(memory.controls)
 
     @property
     def stamp_ns(self) -> int | None:

@@ -1,0 +1,95 @@
+"""What lets a node go on across restarts: its two services, its checkpoints, its start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from pif_ros import interface
+from pif_ros.core.tracker import Memory
+from pif_ros.keeper import FAILURES, Keeper
+from pif_ros.process import guarded
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
+from std_srvs.srv import Trigger
+
+
+class Resuming:
+    """
+    Saves a node's state when asked to, every period and at the end; goes on from it at the start.
+
+    node: one that reports and counts its faults; recall: takes what a tracker remembered, and the
+    newest stamp that was published; published_ns: gives that stamp; now: gives the time, None
+    before there is a /clock; period: seconds between checkpoints, 0 for none.
+    """
+
+    def __init__(self, node: Any, keeper: Keeper, recall: Callable[[Memory[Any], int], None],
+                 published_ns: Callable[[], int], now: Callable[[], int | None],
+                 period: float) -> None:
+        self._node, self._keeper, self._is_due = node, keeper, keeper.is_there()
+        self._recall, self._published_ns, self._now = recall, published_ns, now
+        self.report = node.report
+        for service, callback in ((interface.SAVE, self._on_save),
+                                  (interface.LOAD, self._on_load)):
+            node.create_service(service.type, service.name, callback)
+        if keeper.file is not None and period:
+            node.create_timer(period, self._on_checkpoint,
+                              clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self._is_due and now() is None:
+            self._first_clock = node.get_clock().create_jump_callback(
+                JumpThreshold(min_forward=Duration(nanoseconds=1), min_backward=None,
+                              on_clock_change=False), post_callback=self._on_clock)
+        self._start()
+
+    @property
+    def faults(self) -> int:
+        """Return the node's faults."""
+        return int(self._node.faults)
+
+    @faults.setter
+    def faults(self, count: int) -> None:
+        self._node.faults = count
+
+    def finish(self) -> None:
+        """Save what is to outlast the process."""
+        self._keeper.close(self._published_ns())
+
+    def _start(self) -> None:
+        """Go on from the state file where there is one, once the time is known."""
+        if not self._is_due or self._now() is None:
+            return
+        self._is_due = False
+        told = self._told(self._load, Trigger.Response())
+        if told.success:
+            self._node.get_logger().info(told.message)
+        else:
+            self.report('state', f'{told.message}: from the prior')
+
+    @guarded
+    def _on_clock(self, _: TimeJump) -> None:
+        self._start()
+
+    @guarded
+    def _on_checkpoint(self) -> None:
+        self._keeper.checkpoint(self._published_ns())
+
+    @guarded
+    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._told(lambda: self._keeper.save(self._published_ns()), response)
+
+    @guarded
+    def _on_load(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._told(self._load, response)
+
+    def _load(self) -> str:
+        """Go on from the state file, and return a line that says so."""
+        self._recall(*self._keeper.load(self._now()))
+        return f'goes on from {self._keeper.file}'
+
+    def _told(self, action: Callable[[], str], response: Trigger.Response) -> Trigger.Response:
+        """Answer with the line of an action, or why there was none."""
+        try:
+            response.message, response.success = action(), True
+        except FAILURES as error:
+            response.message, response.success = self._keeper.refusal(error), False
+        return response
