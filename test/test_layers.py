@@ -56,6 +56,7 @@ LAYERS = [
     ['config.sections'],
     ['config.table'],
     ['config.filters'],
+    ['config.guard'],
     ['config.build'],
     ['config.bank'],
     ['config'],

@@ -79,17 +79,21 @@ class Filter(Protocol[Belief]):
     def log_peak(self, belief: Belief, sensor: str, at_ns: int) -> float:
         """Return the log evidence of a measurement that is just as the belief is sure it is."""
 
-    def predictive(self, belief: Belief, sensor: str, at_ns: int) -> Predictive:
-        """Return what is expected of a sensor: the density of its measurement, mass 1."""
-
-    def mixed(self, belief: Belief, other: Belief, share: float, at_ns: int) -> Belief:
-        """Return (1 - share) of a belief and a share of another, both of mass 1 before."""
-
     def describe(self) -> str:
         """Return what the filter is, in a line; what can be made beforehand is made now."""
 
     def remarks(self) -> list[str]:
         """Return what a user should know of how well it can work, a sentence each."""
+
+
+class Expecting(Filter[Belief], Protocol[Belief]):
+    """A filter that can say what it expects, which one of a measured path cannot."""
+
+    def predictive(self, belief: Belief, sensor: str, at_ns: int) -> Predictive:
+        """Return what is expected of a sensor: the density of its measurement, mass 1."""
+
+    def mixed(self, belief: Belief, other: Belief, share: float, at_ns: int) -> Belief:
+        """Return (1 - share) of a belief and a share of another, both of mass 1 before."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 import math
-from typing import Any, Generic
+from typing import Any, cast, Generic
 
 import numpy as np
 from pif_ros.core.clutter import Clutter
-from pif_ros.core.filters import Belief, Filter, NANOSECONDS
+from pif_ros.core.filters import Belief, Expecting, Filter
 from pif_ros.core.lost import Alarm, Watch
 from pif_ros.core.predictive import Predictive
 
@@ -123,15 +123,16 @@ class Guard:
         gate = self.gates.get(source, OPEN)
         if self.alarm is None and not gate.tail_probability:
             return Outcome(*_robust(filter_, predicted, y, source, at_ns, gate), watch)
-        expected = filter_.predictive(predicted, source, at_ns)
+        asked = cast(Expecting[Belief], filter_)
+        expected = asked.predictive(predicted, source, at_ns)
         tail = gate.tail(expected, y)
         watch = watch if self.alarm is None else self.alarm.after(watch, tail)
         gated = tail < gate.tail_probability
         rejections = watch.rejections(source) + 1 if gated else 0
         belief, recovered = predicted, False
         if self.recovery is not None and self._is_due(watch, rejections, gate):
-            belief = filter_.mixed(predicted, self.recovery.belief, self.recovery.share, at_ns)
-            expected = filter_.predictive(belief, source, at_ns)
+            belief = asked.mixed(predicted, self.recovery.belief, self.recovery.share, at_ns)
+            expected = asked.predictive(belief, source, at_ns)
             watch, recovered, rejections = watch.recovered(), True, 0
             gated = gate.tail(expected, y) < gate.tail_probability
         watch = watch.counted(source, rejections)
@@ -172,7 +173,8 @@ def _robust(filter_: Filter[Belief], belief: Belief, y: tuple[float, ...], sourc
     share = math.exp(log_u - log_evidence)
     if share < NEGLIGIBLE:
         return corrected, log_evidence
-    return filter_.mixed(corrected, belief, share, at_ns), log_evidence
+    mixed = cast(Expecting[Belief], filter_).mixed(corrected, belief, share, at_ns)
+    return mixed, log_evidence
 
 
 def _log_evidence(expected: Predictive, y: tuple[float, ...], gate: Gate) -> float:
