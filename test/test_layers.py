@@ -64,7 +64,7 @@ LAYERS = [
     ['accounts'],
     ['parameters', 'diagnostics', 'interface', 'scenario'],
     ['conversions'],
-    ['sources', 'reference', 'health'],
+    ['sources', 'reference', 'health', 'verdicts'],
     ['inbox', 'outputs', 'simulation_node'],
     ['filter_node'],
     ['filter_bank'],

@@ -100,8 +100,8 @@ class Predictive:
 
         Whatever p is, it is uniform on [0, 1] for a y that is drawn from it.  A single Gaussian's
         is that of chi-square.  One or two numbers: on a lattice of whitened y about the given one,
-        to a few percent of its value; more: by importance sampling with fixed numbers, to a fifth
-        down to 1e-5.  0 beyond eight standard deviations of all that is expected, and where
+        to a few percent of its value; more: by importance sampling with fixed numbers, to a
+        quarter down to 1e-5.  0 beyond eight standard deviations of all that is expected, and where
         nothing is.
         """
         if not self._is_sound:

@@ -138,7 +138,7 @@ class ActiveGridFilter:
         parts = ((belief, (1 - share) / belief.mass), (other, share / other.mass))
         return fitted(ActiveBelief(self.grid, tuple(
             Patch(patch.window, patch.density * scale)
-            for each, scale in parts for patch in each.patches), belief.dropped), self.region)
+            for each, scale in parts for patch in each.patches)), self.region)
 
     def describe(self) -> str:
         """Return what the world is like, in a line; what is compiled is compiled now."""
