@@ -52,4 +52,4 @@ class Verdicts:
             self._gated.add(measurement)
             account = self._accounts[measurement.source]
             account.accepted -= 1
-            account.rejected[GATE] += 1
+            account.reject(GATE)

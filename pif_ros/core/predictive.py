@@ -1,8 +1,8 @@
 """
 What is expected to be measured: the density of the next measurement given all before, its tails.
 
-p(y | past) = sum_i w_i N(y; h(x_i), R) over the cells, or particles, of a belief: the evidence of a
-measurement [Sensors, Eq. 27] as a function of the measurement.  Nothing is said of its shape.
+p(y | past) = sum_i w_i N(y; h(x_i), R) over the cells, or particles, of a belief: the evidence of
+a measurement [Sensors, Eq. 27] as a function of it.  Nothing is said of its shape.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ class Predictive:
         """
         Return that of cells about centres (n, N) with weights (N,).
 
-        spacing: (n,) or (n, N), 0 on axes that the sensor does not see; average: whether cells that are
-        wider than it resolves are cut, as they are where a likelihood is averaged over them.
+        spacing: (n,) or (n, N), 0 on axes that the sensor does not see; average: whether cells
+        that are wider than it resolves are cut, as a likelihood is averaged over them.
         """
         keep = weights > NEGLIGIBLE * weights.max(initial=0.0)
         w, x = weights[keep], centres[:, keep]
@@ -101,7 +101,8 @@ class Predictive:
         Whatever p is, it is uniform on [0, 1] for a y that is drawn from it.  A single Gaussian's
         is that of chi-square.  One or two numbers: on a lattice of whitened y about the given one,
         to a few percent of its value; more: by importance sampling with fixed numbers, to a
-        quarter down to 1e-5.  0 beyond eight standard deviations of all that is expected, and where
+        quarter down to 1e-5, where few points are expected; many are smoothed, so that it comes
+        out too large.  0 beyond eight standard deviations of all that is expected, and where
         nothing is.
         """
         if not self._is_sound:
@@ -156,12 +157,13 @@ class Predictive:
         slopes = np.gradient(log_p)
         steep = np.sqrt(sum(s * s for s in (slopes if len(count) > 1 else [slopes])))
         # of the cell on which the boundary lies, the share beyond it
-        below = np.clip(0.5 + (log_p[tuple(origin % count)] - log_p) / np.maximum(steep, 1e-12), 0, 1)
+        level = log_p[tuple(origin % count)]
+        below = np.clip(0.5 + (level - log_p) / np.maximum(steep, 1e-12), 0, 1)
         return float(np.clip((mass * below).sum() / mass.sum(), 0.0, 1.0))
 
 
 def _shared(weights: Array, places: Array, count: NDArray[np.intp]) -> Array:
-    """Return what the cells of a lattice get of weights at places (m, N): in all, as on average."""
+    """Return what the cells of a lattice get of weights at places (m, N), means kept."""
     first = np.floor(places).astype(np.intp)
     rest, mass = places - first, np.zeros(int(np.prod(count)))
     for corner in itertools.product((0, 1), repeat=len(places)):
@@ -204,7 +206,8 @@ def _sampled_tail(weights: Array, v: Array) -> float:
         weights = np.full(CROWD, 1 / CROWD)
         v = np.asarray(np.linalg.solve(np.linalg.cholesky(S), v), dtype=float)
     comb, noise, scale = _draws(m)
-    drawn = np.concatenate([v[:, _picked(weights, comb)] + noise * scale, np.zeros((m, 1))], axis=1)
+    drawn = v[:, _picked(weights, comb)] + noise * scale
+    drawn = np.concatenate([drawn, np.zeros((m, 1))], axis=1)
     square = (np.square(drawn).sum(axis=0)[:, None] + np.square(v).sum(axis=0)
               - 2 * drawn.T @ v)
     p = np.exp(-0.5 * square) @ weights
