@@ -38,6 +38,12 @@ def inbox_of(tracker=None):
     return inbox, accounts.sources, said, put
 
 
+def settle(inbox):
+    """Let an inbox work until nothing waits."""
+    while inbox.has_work:
+        inbox.work()
+
+
 def check_sums(inbox, sources):
     waiting = len(inbox.queue)
     assert sum(account.received for account in sources.values()) == waiting + sum(
@@ -62,11 +68,9 @@ def test_the_sums_always_hold_and_in_the_end_what_is_gated_is_that_of_arrival_in
     for measurement in seen:
         put(measurement)
         if random.random() < 0.7:
-            while inbox.has_work:
-                inbox.work()
+            settle(inbox)
             check_sums(inbox, sources)
-    while inbox.has_work:
-        inbox.work()
+    settle(inbox)
     check_sums(inbox, sources)
     ordered = {name: 0 for name in sources}
     TRACKER.reset()
@@ -82,12 +86,12 @@ def test_a_late_measurement_clears_one_that_was_rejected_without_it():
     inbox, sources, said, put = inbox_of()
     put(Measurement(0, 'near', (0.5,)))
     put(Measurement(SECOND, 'far', (5.0,)))
-    inbox.work()
+    settle(inbox)
     assert (sources['far'].accepted, sources['far'].rejected['gate']) == (0, 1)
     assert any(kind == 'far: gate' for kind, _ in said)
     # what came between: with it the second rejection in a row brings the recovery
     put(Measurement(SECOND - 1000, 'far', (5.1,)))
-    inbox.work()
+    settle(inbox)
     assert (sources['far'].accepted, sources['far'].rejected['gate']) == (1, 1)
     check_sums(inbox, sources)
 
@@ -97,7 +101,7 @@ def test_one_at_which_a_sensor_raises_in_a_replay_is_a_fault_and_no_longer_gated
     gated = Measurement(SECOND, 'far', (5.0,))
     put(Measurement(0, 'near', (0.5,)))
     put(gated)
-    inbox.work()
+    settle(inbox)
     assert sources['far'].rejected['gate'] == 1
     healthy = TRACKER.guard
 
@@ -113,7 +117,7 @@ def test_one_at_which_a_sensor_raises_in_a_replay_is_a_fault_and_no_longer_gated
     try:
         put(Measurement(1000, 'near', (0.4,)))
         with pytest.raises(CorrectionFailed):
-            inbox.work()
+            settle(inbox)
     finally:
         TRACKER.guard = healthy
     assert (sources['far'].accepted, sources['far'].rejected['gate'],
@@ -127,7 +131,7 @@ def test_a_restart_lets_all_verdicts_stand():
     for _ in range(2):
         for measurement in same:
             put(measurement)
-        inbox.work()
+        settle(inbox)
         inbox.restart(None, None)
     assert (sources['far'].received, sources['far'].rejected['gate']) == (2, 2)
     check_sums(inbox, sources)
