@@ -55,9 +55,9 @@ class Course:
     """
     How one kidnapped filter fared, in measurements after that moment; None for never.
 
-    doubted: until the verdict on it was no longer 'found'; said: until it was said to be lost;
-    found: until it was back; gated: how many were rejected of the first fifty; recoveries: how
-    many it took.
+    doubted: until the verdict on it was no longer 'found'; said: until it was said to be lost,
+    both looked for in the first twenty; found: until it was back; gated: how many were rejected of
+    the first fifty; recoveries: how many it took.
     """
 
     doubted: int | None
@@ -71,8 +71,7 @@ def run(share: float = 1.0) -> list[str]:
     """Return what was found, a line each; AssertionError where a claim does not hold."""
     lines = []
     for name, drives in (('plaza_unicycle', True), ('plaza_range_only', False)):
-        kidnaps = list(_kidnaps(name))
-        courses = [_on_plaza(name, *kidnap) for kidnap in _some(kidnaps, share)]
+        courses = [_on_plaza(name, *kidnap) for kidnap in _some(list(_kidnaps(name)), share)]
         lines += _told(f'Plaza1, {name}', courses, drives)
     for name, system in SYSTEMS.items():
         lines += _told(name, [system(seed) for seed in _some(range(10), share)], True)
@@ -132,7 +131,7 @@ def _guards(trackers: Mapping[str, Any], sources: Sequence[str]) -> dict[str, Gu
 
 def _course(grid: Grid, rows: Sequence[tuple[Any, float, bool]]) -> Course:
     """Return how a filter fared by its estimates, errors and rejections after a kidnap."""
-    words = [_word(grid, estimate) for estimate, *_ in rows[:FOUND]]
+    words = [_word(grid, estimate) for estimate, *_ in rows[:2 * SAID]]
     doubted, said = (next((k for k, word in enumerate(words, 1) if word in levels), None)
                      for levels in (('unsure', 'lost'), ('lost',)))
     near = [error < NEAR for _, error, _ in rows]
