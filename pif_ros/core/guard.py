@@ -164,7 +164,7 @@ def _robust(filter_: Filter[Belief], belief: Belief, y: tuple[float, ...], sourc
     """
     corrected, log_p = filter_.correct(belief, y, source, at_ns)
     o = gate.outlier_probability
-    if not o:
+    if not (o and belief.mass > 0):
         return corrected, log_p
     assert gate.clutter is not None
     # what has left the grid says nothing, neither of y nor of clutter

@@ -233,6 +233,15 @@ def test_a_mixture_with_what_has_left_the_grid_is_the_other():
     assert DF.mixed(gone, DF.uniform(), 0.1, 0).mass == pytest.approx(1.0)
 
 
+def test_where_all_has_left_the_grid_nothing_is_made_of_what_may_be_clutter():
+    gone = GridBelief(GRID, np.zeros(GRID.shape))
+    open_, gated = (guard.correct(DF, gone, (0.6,), 'place', 0, tracker_watch()) for guard in (
+        Guard({'place': Gate(outlier_probability=0.05, clutter=CLUTTER)}),
+        guard_of(DF, outlier_probability=1e-4, clutter=CLUTTER)))
+    assert open_.belief.mass == gated.belief.mass == 0
+    assert open_.log_evidence == -np.inf and gated.gated and gated.tail == 1e-4
+
+
 def test_clutter_is_a_density_on_lines_and_circles():
     both = Sensor(lambda x, t: np.stack([x[0], x[0] / 10]), np.diag([0.25, 0.01]),
                   angular=(False, True))
