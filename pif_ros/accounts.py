@@ -49,7 +49,7 @@ class SourceAccount:
 
     def __str__(self) -> str:
         """Return the account in a line."""
-        reasons = ', '.join(f'{count} {reason}' for reason, count in self.rejected.items())
+        reasons = ', '.join(f'{count} {reason}' for reason, count in (+self.rejected).items())
         return (f'{self.received} received, {self.accepted} accepted'
                 f'{f" ({self.outliers} outliers)" if self.outliers else ""}, '
                 f'{self.rejected.total()} rejected{f" ({reasons})" if reasons else ""}, '

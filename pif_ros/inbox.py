@@ -13,6 +13,7 @@ from pif_ros.config import Config
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import CorrectionFailed, Estimate, Measurement, Memory, Tracker
 from pif_ros.sources import Control, Inlet
+from pif_ros.verdicts import Verdicts
 
 #: The belief hardly allows a measurement whose likelihood, averaged over the belief, is less than
 #: that of ten standard deviations.
@@ -46,7 +47,9 @@ class Inbox:
         self._tracker, self._accounts, self._report = tracker, accounts, report
         self._longest = config.measurements.queue_length
         self._max_gap_ns = round(config.time.max_gap * NANOSECONDS)
+        self._history_ns = round(config.time.history * NANOSECONDS)
         self._unjudged: set[Measurement] = set()
+        self._verdicts = Verdicts(accounts.sources)
         self._burst_since: float | None = None
         self._arrivals = self._arrivals_seen = 0
         self._news = False
@@ -94,6 +97,7 @@ class Inbox:
             self._in_turn = max(1, int(TURN / max(took, 1e-6)))
         except CorrectionFailed as failed:
             account = self._account_of(failed.measurement)
+            self._verdicts.accept(failed.measurement)
             account.accepted -= 1
             account.reject('fault')
             self._unjudged.discard(failed.measurement)
@@ -134,6 +138,7 @@ class Inbox:
         """Account for what waits, forget it, and start from a belief (None: the prior)."""
         self.drain()
         self._unjudged.clear()
+        self._verdicts.forget()
         self._tracker.reset(belief, stamp_ns)
 
     def recall(self, memory: Memory[Any]) -> None:
@@ -158,17 +163,29 @@ class Inbox:
                          'time.max_gap: back to the prior')
             self.gaps += 1
             self._unjudged.clear()
+            self._verdicts.forget()
             self._tracker.reset()
 
     def _judge(self) -> None:
-        """Count and tell which of the new measurements the belief hardly allows, or not at all."""
+        """
+        Count and tell which of the new measurements the belief hardly allows, or not at all.
+
+        What was replayed may have another verdict of the gate than before, and is counted anew.
+        """
         for made in self._tracker.corrections:
             measurement, surprise = made.measurement, made.log_evidence - made.log_peak
+            self._verdicts.take(made)
             if measurement not in self._unjudged:
                 continue
             self._unjudged.remove(measurement)
             self._account_of(measurement).traffic.log_evidence.append(made.log_evidence)
-            if surprise < OUTLIER:
+            if made.recovered:
+                self._report('recovery', 'the belief is locked out or lost: a share of '
+                             'another one was mixed in')
+            if made.gated:
+                self._report(f'{measurement.source}: gate', f'{measurement.source}: rejected a '
+                             f'measurement of which {made.tail:.2g} are as little expected')
+            elif surprise < OUTLIER:
                 self._account_of(measurement).outliers += 1
                 self._report(f'{measurement.source}: outlier', f'{measurement.source}: ' + (
                     'a measurement that no state of the belief allows: the belief stays as it was'
@@ -176,6 +193,8 @@ class Inbox:
                     f'{math.sqrt(-2 * surprise):.0f} standard deviations from all that is believed'
                 ))
         self._tracker.corrections.clear()
+        if self._tracker.stamp_ns is not None:
+            self._verdicts.forget(self._tracker.stamp_ns - self._history_ns)
 
     def _account_of(self, measurement: Measurement) -> SourceAccount:
         return self._accounts.sources[measurement.source]

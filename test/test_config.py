@@ -291,7 +291,8 @@ INTEGERS = {
     'diagnostics.max_delay': [1, 1], 'diagnostics.max_refused': [0, 1],
     'diagnostics.max_lost_mass': [0, 1], 'diagnostics.max_edge_mass': [0, 1],
     'diagnostics.max_busy': [0, 1], 'modes.rate': 3, 'modes.share': 0,
-    'checkpoint_period': 5,
+    'checkpoint_period': 5, 'measurements.main.gate.tail_probability': 0,
+    'measurements.main.outlier_probability': 0, 'lost.false_alarm_rate': 0,
     'filter.resample_below': 1, 'operator.threshold': 0,
     'model.params.sigma_x': 1, 'model.params.sigma_y': 2}
 
@@ -307,7 +308,8 @@ def test_integers_are_welcome_where_reals_are_meant(graph):
     for name in INTEGERS.keys() - {'model.params.sigma_x', 'model.params.sigma_y'}:
         value = node.config
         for part in name.split('.'):
-            value = getattr(value, part)
+            sources = getattr(value, 'sources', {})
+            value = sources[part] if part in sources else getattr(value, part)
         assert value == (tuple(reals[name]) if isinstance(reals[name], list) else reals[name])
         assert all(type(v) is float for v in (value if isinstance(value, tuple) else [value]))
     assert node.tracker.filter.sensors['main'].noise(0.0).tolist() == [[4.0, 0.0], [0.0, 4.0]]
@@ -317,8 +319,8 @@ def test_every_real_parameter_was_tried_with_an_integer():
     reals = {name for name, spec in specifications().items()
              if isinstance(spec.default, float)
              or (isinstance(spec.default, tuple) and any(type(v) is float for v in spec.default))}
-    # a tolerance is at most 0.1, and no whole number is
-    assert reals - {'kernel.tolerance'} <= INTEGERS.keys()
+    # a tolerance is at most 0.1, and no whole number is; nor is one between 0 and 1
+    assert reals - {'kernel.tolerance', 'recovery.share'} <= INTEGERS.keys()
 
 
 def test_a_configuration_of_nothing_is_the_first_example_of_the_papers():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 from pif_ros.config.build import build_tracker, find_sensors, find_system
@@ -29,6 +30,10 @@ class FilterOfMany:
             self._first = target, config
         _check_shared(*self._first, config)
         known = self._known(config)
+        if not config.recovery.when_lost:
+            # the watch takes longer than a target's share of a prediction together
+            config = dataclasses.replace(config, lost=dataclasses.replace(
+                config.lost, false_alarm_rate=0.0))
         tracker = build_tracker(config, known, Member)
         assert isinstance(tracker, Member)
         if all(filter_ is not tracker.filter for _, filter_ in self._filters):

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from pif_ros.config.filters import make_filter
+from pif_ros.config.guard import make_guard
 from pif_ros.config.kinds import ConfigError, named
 from pif_ros.config.table import Config
 from pif_ros.core.filters import Filter
@@ -33,8 +34,10 @@ def build_tracker(config: Config, filter_: Filter[Any] | None = None,
     if filter_ is None:
         filter_ = build_filter(config, system)
     prior = _prior(config, filter_, system.model)
+    guard = make_guard(config, filter_, prior, find_grid(config, system.model),
+                       find_sensors(config, system))
     return kind(filter_, prior, config.time.history, config.time.history_memory * 1e6,
-                config.control.hold)
+                config.control.hold, guard)
 
 
 def build_filter(config: Config, system: System) -> Filter[Any]:

@@ -72,6 +72,13 @@ def _part(value: Value) -> float:
     return number
 
 
+def _between(value: Value) -> float:
+    number = _part(value)
+    if number == 0:
+        raise ValueError
+    return number
+
+
 def _seed(value: Value) -> int:
     number = _integer(value)
     if not 0 <= number < 2**63:
@@ -155,6 +162,7 @@ POSITIVE = Kind('a positive number', _positive)
 NOT_NEGATIVE = Kind('a number, 0 or more', _not_negative)
 COUNT = Kind('a whole number, 1 to 1000000', _count)
 SHARE, PART = Kind('a number from 0 to 1', _share), Kind('a number from 0 to below 1', _part)
+BETWEEN = Kind('a number between 0 and 1', _between)
 SEED, STEPS = Kind('a whole number, 0 or more', _seed), Kind('a whole number, 1 to 1000', _steps)
 DURATION = Kind('a number from 0 to 1e9', _duration)
 FREQUENCY = Kind('0, or a number from 0.001 to 1000', _frequency)

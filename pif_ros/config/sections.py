@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pif_ros.config.kinds import (BOOL, BOOLS, COUNT, DURATION, FREQUENCY, INTEGER, INTEGERS,
-                                  LIMITS, NAME, NAMES, NOT_NEGATIVE, NUMBER, NUMBERS, one_of,
-                                  parameter, PART, POSITIVE, SEED, SHARE, STEPS, TEXT)
+from pif_ros.config.kinds import (BETWEEN, BOOL, BOOLS, COUNT, DURATION, FREQUENCY, INTEGER,
+                                  INTEGERS, LIMITS, NAME, NAMES, NOT_NEGATIVE, NUMBER, NUMBERS,
+                                  one_of, parameter, PART, POSITIVE, SEED, SHARE, STEPS, TEXT)
 from pif_ros.core.continuous import SCHEMES
 
 
@@ -134,6 +134,17 @@ class OperatorConfig:
 
 
 @dataclass(frozen=True)
+class GateConfig:
+    """Which of a source's measurements are not taken."""
+
+    tail_probability: float = parameter(0.0, PART, 'a measurement is rejected that is among the '
+                                        'share of all, as they are expected, of the least '
+                                        'density; 0: none')
+    max_consecutive_rejections: int = parameter(5, COUNT, 'with the last of so many in a row '
+                                                'comes a recovery')
+
+
+@dataclass(frozen=True)
 class SourceConfig:
     """Where a measurement comes from; every name in measurements.names has one."""
 
@@ -146,6 +157,9 @@ class SourceConfig:
     params: Mapping[str, Any] = field(default_factory=dict)
     enabled: bool = parameter(True, BOOL, 'whether its measurements are taken; if not, they are '
                               'counted as disabled', live=True)
+    gate: GateConfig = field(default_factory=GateConfig)
+    outlier_probability: float = parameter(0.0, PART, 'share of its measurements that say nothing '
+                                           'of the state, and may be anything')
 
 
 @dataclass(frozen=True)
@@ -156,6 +170,26 @@ class MeasurementsConfig:
     queue_length: int = parameter(1000, COUNT, 'measurements that may wait, here and in DDS; '
                                   'the oldest is dropped and counted')
     sources: Mapping[str, SourceConfig] = field(default_factory=lambda: {'main': SourceConfig()})
+
+
+@dataclass(frozen=True)
+class LostConfig:
+    """When the filter is said to be lost."""
+
+    false_alarm_rate: float = parameter(1e-5, PART, 'how often, per measurement, a filter that is '
+                                        'not lost may be said to be; 0: never watched, nor is a '
+                                        'target of a filter_bank but for recovery.when_lost')
+
+
+@dataclass(frozen=True)
+class RecoveryConfig:
+    """What brings back a filter that is locked out."""
+
+    share: float = parameter(0.1, BETWEEN, 'how much of another belief is mixed in')
+    belief: str = parameter('uniform', one_of('uniform', 'prior'), 'which: that which knows '
+                            'nothing but the grid, or the prior')
+    when_lost: bool = parameter(False, BOOL, 'not only after too many rejections in a row, but '
+                                'whenever the filter is found to be lost')
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,10 @@ from typing import Any
 
 from pif_ros.config.kinds import ConfigError, NAME, parameter, PERIOD, taken, TEXT, Value
 from pif_ros.config.sections import (ControlConfig, DensityConfig, DiagnosticsConfig, FilterConfig,
-                                     GridConfig, KernelConfig, MeasurementsConfig, ModelConfig,
-                                     ModesConfig, OperatorConfig, PoseConfig, PriorConfig,
-                                     PublishConfig, RegionConfig, SourceConfig, TimeConfig)
+                                     GateConfig, GridConfig, KernelConfig, LostConfig,
+                                     MeasurementsConfig, ModelConfig, ModesConfig, OperatorConfig,
+                                     PoseConfig, PriorConfig, PublishConfig, RecoveryConfig,
+                                     RegionConfig, SourceConfig, TimeConfig)
 import yaml
 
 
@@ -35,6 +36,8 @@ class Config:
     kernel: KernelConfig = field(default_factory=KernelConfig)
     operator: OperatorConfig = field(default_factory=OperatorConfig)
     measurements: MeasurementsConfig = field(default_factory=MeasurementsConfig)
+    recovery: RecoveryConfig = field(default_factory=RecoveryConfig)
+    lost: LostConfig = field(default_factory=LostConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
     frame_id: str = parameter('map', NAME, 'frame of the poses and the density')
     pose: PoseConfig = field(default_factory=PoseConfig)
@@ -102,9 +105,10 @@ def specifications(source_names: Sequence[str] = ('main',)) -> dict[str, datacla
 _SECTIONS: Mapping[str, type] = {
     'model': ModelConfig, 'grid': GridConfig, 'region': RegionConfig, 'prior': PriorConfig,
     'filter': FilterConfig, 'kernel': KernelConfig, 'operator': OperatorConfig,
-    'measurements': MeasurementsConfig, 'control': ControlConfig, 'pose': PoseConfig,
-    'publish': PublishConfig, 'density': DensityConfig, 'modes': ModesConfig,
-    'time': TimeConfig, 'diagnostics': DiagnosticsConfig}
+    'measurements': MeasurementsConfig, 'gate': GateConfig, 'recovery': RecoveryConfig,
+    'lost': LostConfig, 'control': ControlConfig, 'pose': PoseConfig, 'publish': PublishConfig,
+    'density': DensityConfig, 'modes': ModesConfig, 'time': TimeConfig,
+    'diagnostics': DiagnosticsConfig}
 
 
 def _section(section: type, prefix: str, left: dict[str, Value]) -> Any:

@@ -19,6 +19,7 @@ from pif_ros.core.kernels import (chosen_form, compile_loops, KernelSettings, la
 from pif_ros.core.likelihood import GridLikelihood
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.posterior import posterior, warm_up
+from pif_ros.core.predictive import Predictive
 
 Array = NDArray[np.float64]
 
@@ -32,6 +33,10 @@ class Held(Protocol):
     @property
     def nbytes(self) -> int:
         """Return how many bytes it takes there."""
+
+    @property
+    def mass(self) -> float:
+        """Return the probability that is left of it."""
 
 
 Belief = TypeVar('Belief', bound=Held)
@@ -79,6 +84,16 @@ class Filter(Protocol[Belief]):
 
     def remarks(self) -> list[str]:
         """Return what a user should know of how well it can work, a sentence each."""
+
+
+class Expecting(Filter[Belief], Protocol[Belief]):
+    """A filter that can say what it expects, which one of a measured path cannot."""
+
+    def predictive(self, belief: Belief, sensor: str, at_ns: int) -> Predictive:
+        """Return what is expected of a sensor: the density of its measurement, mass 1."""
+
+    def mixed(self, belief: Belief, other: Belief, share: float, at_ns: int) -> Belief:
+        """Return (1 - share) of a belief and a share of another, both of mass 1 before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +217,19 @@ class DiracFeynmanFilter:
     def log_peak(self, belief: GridBelief, sensor: str, at_ns: int) -> float:
         """Return the log evidence of a measurement that is just as the belief is sure it is."""
         return self.sensors[sensor].log_peak(at_ns / NANOSECONDS)
+
+    def predictive(self, belief: GridBelief, sensor: str, at_ns: int) -> Predictive:
+        """Return what is expected of a sensor: the density of its measurement, mass 1."""
+        return Predictive.of_cells(self.sensors[sensor], belief.density.ravel(), self.grid.points,
+                                   self.grid.spacing, at_ns / NANOSECONDS, self.average_cells)
+
+    def mixed(self, belief: GridBelief, other: GridBelief, share: float,
+              at_ns: int) -> GridBelief:
+        """Return (1 - share) of a belief and a share of another, both of mass 1 before."""
+        if not belief.mass > 0:
+            return other
+        return GridBelief(self.grid, belief.density * ((1 - share) / belief.mass)
+                          + other.density * (share / other.mass))
 
     def kernel_at(self, t_ns: int) -> Operator:
         """Return the kernel of the step that starts at a stamp; split, it alternates its order."""

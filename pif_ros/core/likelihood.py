@@ -125,16 +125,7 @@ class GridLikelihood:
 
     @np.errstate(over='ignore', invalid='ignore')
     def _measured_widths(self, t: float) -> tuple[Array, Indices]:
-        sensor, x = self.sensor, self.grid.points
-        whiten, centre = _whitening(sensor, t), sensor.function(x, t)
-        width = np.zeros(self.grid.size)
-        for half in np.diag(self.grid.spacing / 2):
-            # edge to centre to edge, since a sensor may turn back within a cell
-            across = sum(np.linalg.norm(whiten @ sensor.difference(
-                sensor.function(x + side * half[:, None], t), centre), axis=0)
-                for side in (-1, 1))
-            np.maximum(width, across, out=width)
-        width = np.nan_to_num(width, nan=0.0, posinf=0.0)
+        width = cell_widths(self.sensor, self.grid.points, self.grid.spacing, t)
         return width, np.flatnonzero(width > RESOLVED)
 
     @np.errstate(over='ignore', invalid='ignore')
@@ -162,6 +153,27 @@ class GridLikelihood:
         with np.errstate(divide='ignore'):
             average = np.log(np.exp(log_l - peak).mean(axis=1)) + peak[:, 0]
         return average + _log_constant(whiten)
+
+
+def cell_widths(sensor: Sensor, centres: Array, spacing: Array, t: float) -> Array:
+    """
+    Return how far cells (n, N) reach in expected measurements, (N,), in standard deviations.
+
+    The widest of the axes on which there is a spacing, (n,) or (n, N); 0 where the function is
+    undefined.
+    """
+    whiten, centre = _whitening(sensor, t), sensor.function(centres, t)
+    width = np.zeros(centres.shape[1])
+    for axis in np.flatnonzero(spacing.reshape(len(spacing), -1).any(axis=1)):
+        half = np.zeros((len(spacing), spacing.size // len(spacing)))
+        half[axis] = spacing[axis] / 2
+        # edge to centre to edge, since a sensor may turn back within a cell
+        across = sum(np.linalg.norm(whiten @ sensor.difference(
+            sensor.function(centres + side * half, t), centre), axis=0)
+            for side in (-1, 1))
+        np.maximum(width, across, out=width)
+    found: Array = np.nan_to_num(width, nan=0.0, posinf=0.0)
+    return found
 
 
 def _log_density(v: Array, changes: list[Array]) -> Array:

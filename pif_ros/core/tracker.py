@@ -17,6 +17,8 @@ from typing import Any, Generic
 
 from pif_ros.core.controls import Controls
 from pif_ros.core.filters import Belief, Filter, NANOSECONDS
+from pif_ros.core.guard import Guard
+from pif_ros.core.lost import Watch
 
 #: Controls kept at most: a quarter of an hour of a hundred a second, without a measurement.
 MOST_CONTROLS = 100_000
@@ -37,14 +39,16 @@ class Estimate(Generic[Belief]):
     What is believed at a stamp.
 
     log_evidence: log p(y | all before it) of the measurement that led here, 0 where none did;
-    total_log_evidence: its sum since the last reset.  A stamp of None is that of a prior which
-    waits for the first measurement.
+    total_log_evidence: its sum since the last reset, without what was gated; watch: what is
+    remembered of how they fitted.  A stamp of None is that of a prior which waits for the first
+    measurement.
     """
 
     stamp_ns: int | None
     belief: Belief
     log_evidence: float = 0.0
     total_log_evidence: float = 0.0
+    watch: Watch = Watch()
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,17 @@ class Correction:
     A correction that was made: by what, and what the belief before it said of it.
 
     log_peak: what the log evidence would have been, had the measurement been just as expected by
-    a belief that is sure of itself.
+    a belief that is sure of itself; tail: how often a measurement surprises as much, NaN where
+    nobody asked; gated: whether it was rejected for that, so that the belief does not know of it;
+    recovered: whether a share of another belief was mixed in before.
     """
 
     measurement: Measurement
     log_evidence: float
     log_peak: float
+    tail: float = math.nan
+    gated: bool = False
+    recovered: bool = False
 
 
 @dataclass(frozen=True)
@@ -105,11 +114,12 @@ class Tracker(Generic[Belief]):
     history: seconds back from the newest stamp within which a late measurement is still put where
     it belongs, and everything after it replayed; memory: bytes that the beliefs kept for that may
     take, whatever the history, the newest apart; hold: seconds for which a control holds at most,
-    where no other follows.  A prior without a stamp holds at the first measurement's.
+    where no other follows; guard: what corrects, and may reject.  A prior without a stamp holds at
+    the first measurement's.
     """
 
     def __init__(self, filter_: Filter[Belief], prior: Belief, history: float = 1.0,
-                 memory: float = 256e6, hold: float = 1.0) -> None:
+                 memory: float = 256e6, hold: float = 1.0, guard: Guard = Guard()) -> None:
         if not 0 <= history < math.inf:
             raise ValueError(f'history: expected seconds, 0 or more, got {history}')
         if not memory >= 0:
@@ -118,6 +128,7 @@ class Tracker(Generic[Belief]):
             raise ValueError(f'hold: expected seconds, 0 or more, got {hold}')
         self.filter = filter_
         self.prior = prior
+        self.guard = guard
         self._history_ns = round(history * NANOSECONDS)
         self._hold_ns = round(hold * NANOSECONDS)
         self._memory = memory
@@ -236,19 +247,21 @@ class Tracker(Generic[Belief]):
             before = self.newest
             try:
                 predicted = self._carried(before, measurement.stamp_ns)
-                belief, log_evidence = self.filter.correct(
-                    predicted, measurement.values, measurement.source, measurement.stamp_ns)
+                made = self.guard.correct(self.filter, predicted, measurement.values,
+                                          measurement.source, measurement.stamp_ns, before.watch)
                 log_peak = self.filter.log_peak(
                     predicted, measurement.source, measurement.stamp_ns)
             except Exception as error:  # noqa: B902  models and sensors are others' code
                 del self._timeline[len(self._posteriors)]
                 raise CorrectionFailed(measurement) from error
-            # what no state allows is not believed, and says nothing of what is
-            weight = log_evidence if log_evidence > -math.inf else 0.0
-            self._largest = max(self._largest, belief.nbytes)
-            self._posteriors.append(Estimate(measurement.stamp_ns, belief, log_evidence,
-                                             before.total_log_evidence + weight))
-            self.corrections.append(Correction(measurement, log_evidence, log_peak))
+            # what no state allows, or is gated, is not believed, and says nothing of what is
+            used = made.log_evidence > -math.inf and not made.gated
+            self._largest = max(self._largest, made.belief.nbytes)
+            self._posteriors.append(Estimate(
+                measurement.stamp_ns, made.belief, made.log_evidence,
+                before.total_log_evidence + (made.log_evidence if used else 0.0), made.watch))
+            self.corrections.append(Correction(measurement, made.log_evidence, log_peak, made.tail,
+                                               made.gated, made.recovered))
         newest = self.newest
         self._forget()
         return newest
@@ -259,7 +272,7 @@ class Tracker(Generic[Belief]):
         if newest.stamp_ns is None or stamp_ns <= newest.stamp_ns:
             return newest
         return Estimate(stamp_ns, self._carried(newest, stamp_ns), 0.0,
-                        newest.total_log_evidence)
+                        newest.total_log_evidence, newest.watch)
 
     def _carried(self, before: Estimate[Belief], stamp_ns: int) -> Belief:
         """

@@ -32,6 +32,8 @@ FILTERS = {
     'df': PLANE, 'df, single': {**PLANE, 'kernel.form': 'split', 'kernel.precision': 'single'},
     'df, two sensors': {**PLANE, **TWO},
     'df, long steps': {**PLANE, 'kernel.macro_error': 0.1},
+    'df, gated': {**PLANE, **TWO, 'measurements.main.gate.tail_probability': 0.4,
+                  'recovery.when_lost': True},
     'df, active': {**PLANE, 'region.kind': 'active'}, 'df, driven': {**YARD, **TWO},
     **{kind: {**PLANE, 'filter.type': kind}
        for kind in ('dfy', 'particle', 'ekf', 'ekf_continuous', 'ukf')},

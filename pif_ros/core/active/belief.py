@@ -143,6 +143,20 @@ class ActiveBelief:
         return low + float(np.angle(turn) / (2 * np.pi) % 1.0) * period
 
 
+def seen_cells(patch: Patch, seen: Sequence[int] | None) -> tuple[Array, Array, Array]:
+    """
+    Return masses (N,), centres (n, N) and widths (n, N) of a patch's cells on some axes.
+
+    What is not among these (all, where it is None) is put together in its middle, of width 0.
+    """
+    grid = patch.window.grid
+    kept = [i for i in range(grid.ndim) if seen is None or i in seen]
+    lines = [axis if i in kept else axis[len(axis) // 2, None] for i, axis in enumerate(grid.axes)]
+    centres = np.stack(np.meshgrid(*lines, indexing='ij')).reshape(grid.ndim, -1)
+    widths = np.where(np.isin(np.arange(grid.ndim), kept), grid.spacing, 0.0)
+    return patch.marginal(*kept).ravel(), centres, np.broadcast_to(widths[:, None], centres.shape)
+
+
 def _deviations(base: Grid, window: Window, axis: int, point: float) -> Array:
     """Return how far a window's cells are from a point along an axis, the short way round."""
     d: Array = window.grid.axes[axis] - point

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pif_ros.core.active.belief import ActiveBelief, Patch
+from pif_ros.core.active.belief import ActiveBelief, Patch, seen_cells
 from pif_ros.core.active.compiled import warm_up
 from pif_ros.core.active.flow import flow, parting_rate
 from pif_ros.core.active.focus import fitted, focused
@@ -21,6 +21,7 @@ from pif_ros.core.grid import Grid
 from pif_ros.core.kernels.directions import integer_directions
 from pif_ros.core.likelihood import GridLikelihood
 from pif_ros.core.models import Sensor, StateModel
+from pif_ros.core.predictive import Predictive
 
 Array = NDArray[np.float64]
 
@@ -117,6 +118,27 @@ class ActiveGridFilter:
     def log_peak(self, belief: ActiveBelief, sensor: str, at_ns: int) -> float:
         """Return the log evidence of a measurement that is just as the belief is sure it is."""
         return self.sensors[sensor].log_peak(at_ns / NANOSECONDS)
+
+    def predictive(self, belief: ActiveBelief, sensor: str, at_ns: int) -> Predictive:
+        """Return what is expected of a sensor: the density of its measurement, mass 1."""
+        seen = self.sensors[sensor].states
+        parts = [seen_cells(patch, seen) for patch in belief.patches]
+        if not parts:
+            return Predictive.of_points(self.sensors[sensor], np.zeros(0),
+                                        np.zeros((self.grid.ndim, 0)), at_ns / NANOSECONDS)
+        w, x, spacing = (np.concatenate(each, axis=-1) for each in zip(*parts))
+        return Predictive.of_cells(self.sensors[sensor], w, x, spacing, at_ns / NANOSECONDS,
+                                   self.average_cells)
+
+    def mixed(self, belief: ActiveBelief, other: ActiveBelief, share: float,
+              at_ns: int) -> ActiveBelief:
+        """Return (1 - share) of a belief and a share of another, both of mass 1 before."""
+        if not belief.mass > 0:
+            return other
+        parts = ((belief, (1 - share) / belief.mass), (other, share / other.mass))
+        return fitted(ActiveBelief(self.grid, tuple(
+            Patch(patch.window, patch.density * scale)
+            for each, scale in parts for patch in each.patches)), self.region)
 
     def describe(self) -> str:
         """Return what the world is like, in a line; what is compiled is compiled now."""

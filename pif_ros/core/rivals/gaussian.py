@@ -17,6 +17,7 @@ from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.modes import Mode, MOST, SHARE
+from pif_ros.core.predictive import Predictive
 from pif_ros.core.rivals.passage import (check_box, circles, driven_steps, known, LARGEST,
                                          short_way, step_ns, wrapped)
 
@@ -164,6 +165,23 @@ class GaussianFilter(ABC):
         """Return the log evidence of a measurement just as the belief is sure it is."""
         return self.sensors[sensor].log_peak(at_ns / NANOSECONDS)
 
+    @np.errstate(over='ignore', invalid='ignore', divide='ignore')
+    def predictive(self, belief: GaussianBelief, sensor: str, at_ns: int) -> Predictive:
+        """Return what is expected of a sensor: a Gaussian, whose tail is Mahalanobis' gate."""
+        seen = self.sensors[sensor]
+        expected, _, S = self._expected(belief.location, belief.spread, seen, at_ns / NANOSECONDS)
+        return Predictive.gaussian(seen, expected, S)
+
+    def mixed(self, belief: GaussianBelief, other: GaussianBelief, share: float,
+              at_ns: int) -> GaussianBelief:
+        """Return the moments of (1 - share) of a belief and a share of another."""
+        if not belief.mass:
+            return other
+        d = short_way(other.location - belief.location, self.box)
+        P = ((1 - share) * belief.spread + share * other.spread
+             + share * (1 - share) * np.outer(d, d))
+        return GaussianBelief(wrapped(belief.location + share * d, self.box), P, self.box)
+
     def remarks(self) -> list[str]:
         """Return nothing: it has no grid that could be too coarse."""
         return []
@@ -185,6 +203,11 @@ class GaussianFilter(ABC):
     def _step(self, model: StateModel, m: Array, P: Array, t: float,
               h: float) -> tuple[Array, Array]:
         """Return mean and covariance h seconds later; the model is that of the step."""
+
+    @abstractmethod
+    def _expected(self, m: Array, P: Array, sensor: Sensor,
+                  t: float) -> tuple[Array, Array, Array]:
+        """Return what is expected (m,), its covariance with the state (n, m) and its own."""
 
     @abstractmethod
     def _corrected(self, m: Array, P: Array, y: ArrayLike, sensor: Sensor,
@@ -234,6 +257,12 @@ class ExtendedKalmanFilter(GaussianFilter):
         P = (A @ (P + h / 6 * g(m, t)) @ A.T + h * 2 / 3 * (B @ g(middle, t + h / 2) @ B.T)
              + h / 6 * g(end, t + h))
         return end, symmetric(P)
+
+    def _expected(self, m: Array, P: Array, sensor: Sensor,
+                  t: float) -> tuple[Array, Array, Array]:
+        H = sensor.jacobian(m, t)
+        C = P @ H.T
+        return np.asarray(sensor.function(m, t), dtype=float), C, H @ C + sensor.noise(t)
 
     def _corrected(self, m: Array, P: Array, y: ArrayLike, sensor: Sensor,
                    t: float) -> tuple[Array, Array, float]:

@@ -14,13 +14,14 @@ from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor, StateModel
+from pif_ros.core.predictive import Predictive
 from pif_ros.core.rivals.cloud import ParticleBelief, systematic
 from pif_ros.core.rivals.passage import check_box, driven_steps, known, LARGEST, step_ns, wrapped
 
 Array = NDArray[np.float64]
 
 #: What random numbers are for: each purpose has its own key, so that no two share any.
-NOISE, RESAMPLING, START = 1, 2, 3
+NOISE, RESAMPLING, START, MIXING = 1, 2, 3, 4
 #: A particle this many widths of the box away from its middle has blown up.
 FAR = 10.0
 #: How many steps a trial of the step's length takes, and what share may die in it without a word.
@@ -127,6 +128,32 @@ class ParticleFilter:
         """Return the log evidence of a measurement just as the belief is sure it is."""
         return self.sensors[sensor].log_peak(at_ns / NANOSECONDS)
 
+    def predictive(self, belief: ParticleBelief, sensor: str, at_ns: int) -> Predictive:
+        """Return what is expected of a sensor: the density of its measurement, mass 1."""
+        w = np.zeros(0) if belief.mass == 0 else belief.weights
+        return Predictive.of_points(self.sensors[sensor], w, belief.points[:, :len(w)],
+                                    at_ns / NANOSECONDS)
+
+    def mixed(self, belief: ParticleBelief, other: ParticleBelief, share: float,
+              at_ns: int) -> ParticleBelief:
+        """
+        Return (1 - share) of a belief and a share of another, both of mass 1 before.
+
+        Other particles, drawn at random, take the places of as many of the belief's.
+        """
+        if belief.mass == 0:
+            return other
+        if belief.points is other.points:
+            w = (1 - share) * belief.weights + share * other.weights
+            return ParticleBelief(belief.points, _logs(w), belief.box)
+        count = min(max(round(share * self.particles), 1), self.particles)
+        rng = self._random(MIXING, at_ns)
+        ours = _drawn(belief.weights, self.particles - count, rng)
+        theirs = _drawn(other.weights, count, rng)
+        w = np.repeat([(1 - share) / max(len(ours), 1), share / count], [len(ours), count])
+        return ParticleBelief(np.concatenate([belief.points[:, ours], other.points[:, theirs]],
+                                             axis=1), _logs(w / w.sum()), belief.box)
+
     def describe(self) -> str:
         """Return what the filter is."""
         return f'particle filter with {self.particles:,} particles'
@@ -202,6 +229,19 @@ class ParticleFilter:
     @cached_property
     def _constant_factor(self) -> Array:
         return _factor(self.model, 0.0)
+
+
+def _drawn(weights: Array, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return so many particles, drawn by their weights with a comb whose place is random."""
+    teeth = (np.arange(count) + rng.random()) / max(count, 1)
+    order = rng.permutation(len(weights))
+    found = np.searchsorted(np.cumsum(weights[order]), teeth)
+    return order[found.clip(0, len(weights) - 1)]
+
+
+def _logs(w: Array) -> Array:
+    with np.errstate(divide='ignore'):
+        return np.log(w)
 
 
 def _factor(model: StateModel, t: float) -> Array:

@@ -70,22 +70,32 @@ class UnscentedKalmanFilter(GaussianFilter):
         P = symmetric((d * self._weights) @ d.T)
         return m, P + h / 2 * self._mean_diffusion(m, P, t + h)
 
+    def _expected(self, m: Array, P: Array, sensor: Sensor,
+                  t: float) -> tuple[Array, Array, Array]:
+        d, expected, d_seen = self._seen(m, P, sensor, t)
+        return (expected, (d * self._weights) @ d_seen.T,
+                symmetric((d_seen * self._weights) @ d_seen.T) + sensor.noise(t))
+
     def _corrected(self, m: Array, P: Array, y: ArrayLike, sensor: Sensor,
                    t: float) -> tuple[Array, Array, float]:
-        x, R = self._points(m, P), sensor.noise(t)
-        seen = np.asarray(sensor.function(x, t), dtype=float)
-        # angles are averaged as differences from the first, the short way round
-        centre = seen[:, :1]
-        d_seen = sensor.difference(seen, centre)
-        shift = d_seen @ self._mean_weights
-        d, d_seen = x - m[:, None], d_seen - shift[:, None]
-        v = sensor.residual(y, centre[:, 0] + shift)
+        R, (d, expected, d_seen) = sensor.noise(t), self._seen(m, P, sensor, t)
+        v = sensor.residual(y, expected)
         S = symmetric((d_seen * self._weights) @ d_seen.T) + R
         gain, log_evidence = gain_and_log_evidence((d * self._weights) @ d_seen.T, S, v)
         # P - K S K^T, as a sum of squares  [as Joseph's form is]
         rest = d - gain @ d_seen
         P = symmetric((rest * self._weights) @ rest.T + gain @ R @ gain.T)
         return m + gain @ v, P, log_evidence
+
+    def _seen(self, m: Array, P: Array, sensor: Sensor, t: float) -> tuple[Array, Array, Array]:
+        """Return the points less their mean, what is expected (m,), and theirs less that."""
+        x = self._points(m, P)
+        seen = np.asarray(sensor.function(x, t), dtype=float)
+        # angles are averaged as differences from the first, the short way round
+        centre = seen[:, :1]
+        d_seen = sensor.difference(seen, centre)
+        shift = d_seen @ self._mean_weights
+        return x - m[:, None], centre[:, 0] + shift, d_seen - shift[:, None]
 
     def _points(self, m: Array, P: Array) -> Array:
         """Return the sigma points, shape (n, 2 n + 1)."""

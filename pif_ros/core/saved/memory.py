@@ -8,6 +8,7 @@ import itertools
 from typing import Any
 
 import numpy as np
+from pif_ros.core.lost import Watch
 from pif_ros.core.saved.beliefs import (Array, Arrays, belief_arrays, belief_forms, belief_from,
                                         check, COMPONENTS, Form, Forms, MANY, optional, REAL,
                                         under, WHOLE, within)
@@ -24,6 +25,7 @@ def arrays_of(tracker: Tracker[Any]) -> Arrays:
     """
     memory = tracker.memory()
     arrays = {**under('anchor', _estimate_arrays(memory.anchor)),
+              **under('watch', _watch_arrays(tracker, memory.anchor.watch)),
               **under('anchored', _measurement_arrays(
                   tracker, [] if memory.anchored is None else [memory.anchored])),
               **under('measurements', _measurement_arrays(tracker, memory.measurements)),
@@ -45,6 +47,8 @@ def forms_of(tracker: Tracker[Any]) -> tuple[Forms, Forms]:
     one = range(2)
     rest = {**under('anchor', {'stamp_ns': Form(WHOLE, (one,)), **{
                 name: Form(REAL, (1,)) for name in _numbers()}}),
+            **under('watch', {'score': Form(REAL, (1,)),
+                              'counts': Form(WHOLE, (2 + len(tracker.filter.sensors),))}),
             **under('anchored', _measurement_forms(one, COMPONENTS)),
             **under('measurements', _measurement_forms(
                 MANY, range(len(MANY) * len(COMPONENTS)))),
@@ -60,7 +64,8 @@ def memory_from(tracker: Tracker[Any], arrays: Mapping[str, Array]) -> Memory[An
     Raises ValueError where their numbers are no memory of such a tracker.
     """
     anchored = _measurements(tracker, 'anchored', within('anchored', arrays))
-    memory = Memory(_estimate(tracker, within('anchor', arrays), within('belief', arrays)),
+    memory = Memory(_estimate(tracker, *(within(part, arrays)
+                                         for part in ('anchor', 'belief', 'watch'))),
                     anchored[0] if anchored else None,
                     _measurements(tracker, 'measurements', within('measurements', arrays)),
                     _controls(within('controls', arrays)))
@@ -89,7 +94,7 @@ def _check_order(memory: Memory[Any]) -> None:
 def _numbers() -> list[str]:
     """Return what an estimate has besides a stamp and a belief: numbers."""
     return [field.name for field in dataclasses.fields(Estimate)
-            if field.name not in ('stamp_ns', 'belief')]
+            if field.name not in ('stamp_ns', 'belief', 'watch')]
 
 
 def _estimate_arrays(estimate: Estimate[Any]) -> Arrays:
@@ -97,12 +102,29 @@ def _estimate_arrays(estimate: Estimate[Any]) -> Arrays:
         name: np.array([getattr(estimate, name)], dtype=REAL) for name in _numbers()}}
 
 
-def _estimate(tracker: Tracker[Any], arrays: Arrays, belief: Arrays) -> Estimate[Any]:
+def _estimate(tracker: Tracker[Any], arrays: Arrays, belief: Arrays,
+              watch: Arrays) -> Estimate[Any]:
     stamp = arrays['stamp_ns'].tolist()
-    numbers = {name: float(arrays[name][0]) for name in _numbers()}
+    numbers: dict[str, Any] = {name: float(arrays[name][0]) for name in _numbers()}
     check('anchor', not np.isnan(list(numbers.values())).any(), 'numbers')
     return Estimate(stamp[0] if stamp else None,
-                    belief_from(tracker.prior, belief) if belief else tracker.prior, **numbers)
+                    belief_from(tracker.prior, belief) if belief else tracker.prior,
+                    watch=_watch(tracker, watch), **numbers)
+
+
+def _watch_arrays(tracker: Tracker[Any], watch: Watch) -> Arrays:
+    counts = [int(watch.lost), watch.recoveries, *map(watch.rejections, tracker.filter.sensors)]
+    return {'score': np.array([watch.score], dtype=REAL), 'counts': np.array(counts, dtype=WHOLE)}
+
+
+def _watch(tracker: Tracker[Any], arrays: Arrays) -> Watch:
+    [score], [lost, recoveries, *rejected] = (arrays[name].tolist() for name in (
+        'score', 'counts'))
+    check('watch', score >= 0 and lost in (0, 1) and min([recoveries, *rejected]) >= 0,
+          'numbers, 0 or more')
+    return Watch(score, bool(lost), tuple(sorted(
+        (name, count) for name, count in zip(tracker.filter.sensors, rejected) if count)),
+        recoveries)
 
 
 def _measurement_arrays(tracker: Tracker[Any], some: Sequence[Measurement]) -> Arrays:
