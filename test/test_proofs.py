@@ -6,7 +6,7 @@ import pytest
 
 #: What each proof may do here.
 SHARES = {'change': 1.0, 'examples': 0.01, 'fuzz': 0.003, 'hostile': 0.2, 'late': 0.01,
-          'overload': 0.1, 'signals': 0.02, 'soak': 0.003, 'wire': 0.02,
+          'overload': 0.07, 'signals': 0.02, 'soak': 0.003, 'wire': 0.02,
           'wrong_configurations': 0.02}
 
 
