@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+import math
 from typing import Any
 
 import numpy as np
 from pif_ros.accounts import Accounts, SourceAccount
 from pif_ros.config import DiagnosticsConfig
 from pif_ros.core.filters import NANOSECONDS
+from pif_ros.core.lost import verdict
 from pif_ros.core.tracker import Tracker
 from pif_ros.stopwatch import resident_bytes
 
 OK, WARN, ERROR = 0, 1, 2
+#: How bad it is to be found, unsure, or lost.
+VERDICTS = {'found': OK, 'unsure': WARN, 'lost': ERROR}
+#: So many modes are shown at most.
+MODES = 5
 MS, MB = 1e3, 1e6
 Limits = tuple[float, ...]
 
@@ -36,7 +42,8 @@ class Facts:
     now_ns: None before there is a /clock; since_ns: when it began to listen; times: median and
     longest in seconds by kind of work; busy: share of the time that the work took; skipped: poses
     that the timer owed; behind: seconds for which there was more to do than could be done; faults:
-    callbacks that failed; restarts: how often the belief was begun anew, and why at last.
+    callbacks that failed; restarts: how often the belief was begun anew, and why at last;
+    log_volume: of the grid; masses: those of the modes, as they were when they were last found.
     """
 
     tracker: Tracker[Any]
@@ -51,12 +58,14 @@ class Facts:
     faults: int = 0
     restarts: int = 0
     why: str = ''
+    log_volume: float = 0.0
+    masses: Sequence[float] = ()
 
 
 def statuses(facts: Facts) -> list[Status]:
     """Return what is to be said now: of the filter, its belief, its sources and its time."""
     accounts = facts.accounts
-    found = [filter_status(facts), belief_status(facts.tracker, facts.limits)]
+    found = [filter_status(facts), belief_status(facts)]
     found += [source_status(name, account, facts) for name, account in accounts.sources.items()]
     if accounts.control is not None:
         found.append(source_status('control', accounts.control, facts))
@@ -90,13 +99,14 @@ def filter_status(facts: Facts) -> Status:
     return Status('filter', level, text, values)
 
 
-def belief_status(tracker: Tracker[Any], limits: DiagnosticsConfig) -> Status:
+def belief_status(facts: Facts) -> Status:
     """
-    Return what the newest belief is like.
+    Return what the newest belief is like, and whether it is lost.
 
     mass: what is left on the grid since the last correction; dropped: the share of it that was
     left out as negligible since then; cells: those that are kept.
     """
+    tracker, limits = facts.tracker, facts.limits
     newest = tracker.newest
     belief, names = newest.belief, tracker.filter.model.names
     values = {'mass': f'{belief.mass:.9f}'}
@@ -111,12 +121,31 @@ def belief_status(tracker: Tracker[Any], limits: DiagnosticsConfig) -> Status:
     spread = np.sqrt(np.maximum(np.diag(belief.covariance()), 0.0))
     values |= {f'standard deviation of {name}': f'{float(s):.6g}'
                for name, s in zip(names, spread)}
+    entropy = belief.entropy()
+    found = verdict(newest.watch, tracker.guard.alarm, math.exp(min(
+        entropy - facts.log_volume, 0.0)), facts.masses)
+    values |= {'entropy': f'{entropy:.4g} nats', 'masses of the modes': ', '.join(
+        f'{mass:.3f}' for mass in facts.masses[:MODES]) or 'not looked for'}
+    values |= {key: f'{number:.3g}' for key, number in found.numbers.items()}
     if newest.stamp_ns is None:
         return Status('belief', OK, 'the prior, which waits for a measurement', values)
-    lost = 1 - belief.mass
-    level = _level(lost, limits.max_lost_mass)
-    return Status('belief', level, 'on the grid' if level == OK else
-                  f'{lost:.0%} of it has left the grid', values)
+    lost, edge = 1 - belief.mass, _edge_mass(belief)
+    concerns = [(VERDICTS[found.level], found.sentence),
+                (_level(lost, limits.max_lost_mass), f'{lost:.0%} of it has left the grid')]
+    if edge is not None:
+        values['mass at the edge'] = f'{edge:.3g}'
+        concerns.append((_level(edge, limits.max_edge_mass),
+                         f'{edge:.0%} of it lies at the edge of the grid'))
+    level, text = max(concerns, key=lambda concern: concern[0])
+    return Status('belief', level, text, values)
+
+
+def _edge_mass(belief: Any) -> float | None:
+    """Return the share of a belief at the edge of the grid, None where it has none."""
+    try:
+        return float(belief.edge_mass())
+    except AttributeError:
+        return None
 
 
 def source_status(name: str, account: SourceAccount, facts: Facts,

@@ -62,7 +62,7 @@ class FilterNode(Node):
         self.inbox = Inbox(self.tracker, self.accounts, self.config, self.report)
         self.faults = self.skipped = self.restarts = 0
         self.watch = Stopwatch()
-        self._why = ''
+        self._why, self._lost = '', False
         self._throttle = Throttle()
         self._published_ns = -1
         self._next_forecast = 0.0
@@ -73,6 +73,8 @@ class FilterNode(Node):
                                 self._on_clock_set)
         self._health = Health(self, self.config.diagnostics.rate, self.facts,
                               self._on_diagnostics)
+        self._log_volume = sum(math.log(high - low) for low, high in zip(
+            self.config.grid.lower, self.config.grid.upper))
         self._live: dict[str, Any] = {'pose.estimator': self.config.pose.estimator,
                                       'density.rate': self.config.density.rate,
                                       'modes.rate': self.config.modes.rate,
@@ -183,6 +185,9 @@ class FilterNode(Node):
             if estimate is not None:
                 self._publish(estimate)
         self._took = time.monotonic() - began
+        was_lost, self._lost = self._lost, self.tracker.newest.watch.lost
+        if self._lost and not was_lost:
+            self.report('lost', 'lost: the measurements contradict what was believed')
 
     @guarded
     def _on_timer(self) -> None:
@@ -206,13 +211,14 @@ class FilterNode(Node):
 
     def facts(self) -> Facts:
         """Return what is known of the node now."""
+        masses = self._health.masses(self.tracker.newest.belief, self.config.modes.share)
         since, now_ns = self.inbox.behind_since, self.get_clock().now().nanoseconds or None
         self._since_ns = self._since_ns or now_ns or 0
         return Facts(self.tracker, self.accounts, self.config.diagnostics, now_ns, self._since_ns,
                      self.watch.summary(), self.watch.busy(), self.skipped,
                      time.monotonic() - since if since else 0.0, self.faults,
                      self.restarts + self.inbox.gaps,
-                     self._why)
+                     self._why, self._log_volume, masses)
 
     def is_due(self, now_ns: int) -> bool:
         """Return whether a pose is to be predicted to now."""

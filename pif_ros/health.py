@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import time
+from typing import Any
 
 from pif_ros import conversions, interface
 from pif_ros.diagnostics import Facts, OK, statuses
@@ -12,6 +13,8 @@ from rclpy.node import Node
 
 #: Whether it got worse is looked at no more often than this, in seconds.
 SELDOM = 0.2
+#: Finding the modes has this share of the time at most.
+TAKE = 0.05
 
 
 class Health:
@@ -25,10 +28,20 @@ class Health:
                  tick: Callable[[], None]) -> None:
         self._node, self._facts, self._level, self._looked = node, facts, OK, 0.0
         self._is_wanted = bool(rate)
+        self._next_modes = 0.0
+        self._masses: tuple[float, ...] = ()
         told = interface.DIAGNOSTICS
         self._publisher = node.create_publisher(told.type, told.name, told.qos)
         if rate:
             node.create_timer(1 / rate, tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def masses(self, belief: Any, share: float) -> Sequence[float]:
+        """Return the masses of a belief's modes; those of before where it is too soon."""
+        began = time.monotonic()
+        if began >= self._next_modes and belief.mass > 0:
+            self._masses = tuple(mode.mass for mode in belief.modes(share))
+            self._next_modes = began + (time.monotonic() - began) / TAKE
+        return self._masses
 
     def tell(self) -> None:
         """Publish how it is."""

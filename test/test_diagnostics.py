@@ -1,6 +1,7 @@
 """What the node says of itself: for a person, and true."""
 
 import dataclasses
+import math
 
 import numpy as np
 from pif_ros.accounts import Accounts, SourceAccount
@@ -9,6 +10,7 @@ from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
+from pif_ros.core.lost import Alarm
 from pif_ros.core.systems import position_2d
 from pif_ros.core.systems.robots import position_sensor
 from pif_ros.core.tracker import Measurement, Tracker
@@ -28,7 +30,8 @@ def tracker_of(filter_):
 def told(tracker, accounts=None, now_ns=0, **given):
     """Return what is said of a tracker, by task."""
     facts = Facts(tracker, Accounts(['main']) if accounts is None else accounts,
-                  DiagnosticsConfig(), now_ns, 0, {}, **given)
+                  DiagnosticsConfig(), now_ns, 0, {},
+                  **{'log_volume': math.log(100), **given})
     return {status.name: status for status in statuses(facts)}
 
 
@@ -60,6 +63,42 @@ def test_tells_mass_deviations_and_evidence_of_the_newest_belief(filter_):
             np.sqrt(estimate.belief.covariance()[i, i]), rel=1e-5)
     assert float(belief.values['log evidence of the newest measurement']) == pytest.approx(
         estimate.log_evidence, rel=1e-3)
+
+
+def test_tells_entropy_modes_and_what_lies_at_the_edge():
+    tracker = tracker_of(all_cells())
+    tracker.reset(all_cells().gaussian([4.5, 0.0], 0.09 * np.eye(2)), 0)
+    belief = told(tracker, masses=(0.75, 0.25))['belief']
+    # of a Gaussian, less what is cut off: half of it lies beyond 4.75, where the last cell is
+    newest = tracker.newest.belief
+    assert float(belief.values['entropy'].split()[0]) == pytest.approx(newest.entropy(), rel=1e-3)
+    assert belief.values['masses of the modes'] == '0.750, 0.250'
+    density = newest.density
+    inner = density[1:-1, 1:-1].sum() / density.sum()
+    assert float(belief.values['mass at the edge']) == pytest.approx(1 - inner, rel=1e-2)
+    assert belief.level == WARN and 'at the edge' in belief.message
+
+
+@pytest.mark.parametrize(('masses', 'level', 'word'), [
+    ((1.0,), OK, 'one place'), ((0.5, 0.5), WARN, '2 places are possible')])
+def test_a_belief_in_several_places_is_unsure(masses, level, word):
+    tracker = tracker_of(all_cells())
+    tracker.reset(all_cells().gaussian([0.0, 0.0], 0.09 * np.eye(2)), 0)
+    belief = told(tracker, masses=masses)['belief']
+    assert belief.level == level and word in belief.message
+
+
+def test_a_filter_that_is_lost_is_an_error_and_one_that_knows_nothing_a_warning():
+    tracker = tracker_of(all_cells())
+    tracker.guard = dataclasses.replace(tracker.guard, alarm=Alarm())
+    for k in range(6):
+        tracker.observe(Measurement(k, 'main', (3.0 * (-1)**k, 3.0)))
+    tracker.estimate()
+    belief = told(tracker, masses=(1.0,))['belief']
+    assert belief.level == ERROR and belief.message.startswith('lost: ')
+    tracker.reset(all_cells().uniform(), 0)
+    belief = told(tracker, masses=(1.0,))['belief']
+    assert belief.level == WARN and 'fills 100% of the grid' in belief.message
 
 
 def test_tells_what_active_cells_there_are_and_what_was_dropped():

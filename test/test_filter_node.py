@@ -149,7 +149,8 @@ TOPICS = {
 HEARD = {
     'initialpose': ('geometry_msgs/msg/PoseWithCovarianceStamped', 'RELIABLE', 'VOLATILE'),
     'fix': ('geometry_msgs/msg/PointStamped', 'BEST_EFFORT', 'VOLATILE')}
-SERVICES = {'~/reset': 'std_srvs/srv/Trigger',
+SERVICES = {'~/reset': 'std_srvs/srv/Trigger', '~/save_state': 'std_srvs/srv/Trigger',
+            '~/load_state': 'std_srvs/srv/Trigger',
             'reinitialize_global_localization': 'std_srvs/srv/Empty'}
 
 
@@ -904,6 +905,7 @@ def test_a_system_clock_that_is_set_takes_the_belief_along_with_one_line(graph, 
     monkeypatch.setattr(timekeeper, 'steady_ns', lambda: steady_ns() - by * SECOND)
     now = time.time_ns()
     rig.send('fix', fix(now, 0.2, 0.2))
+    rig.handled(1)
     rig.pose_at(now)
     moved = twin.estimate()
     again = library()
@@ -977,7 +979,8 @@ def test_diagnostics_tell_of_the_belief_and_of_every_source(graph):
     graph.until(lambda: len(heard) > 1, 'diagnostics')
     whole, belief, source, timing = heard[-1].status
     assert (belief.name, belief.level, belief.message) == (
-        '/filter_node: belief', b'\0', 'on the grid')
+        '/filter_node: belief', b'\0',
+        'found: the belief is in one place, and the measurements fit')
     # the stamp is of long ago
     assert (whole.name, whole.level) == ('/filter_node: filter', b'\2')
     assert timing.name == '/filter_node: timing'

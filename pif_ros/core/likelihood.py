@@ -88,7 +88,7 @@ class GridLikelihood:
         """Return which of the cells are too wide for their centres, and their averages."""
         if not self.average_cells:
             return _NO_CELLS
-        width, coarse = self._widths(t)
+        width, coarse = self.widths(t)
         if not len(coarse):
             return _NO_CELLS
         places = coarse if cells is None else np.flatnonzero(width[cells] > RESOLVED)
@@ -115,7 +115,7 @@ class GridLikelihood:
         v = np.ascontiguousarray(v - origin[:, None])
         return origin, v, -0.5 * np.einsum('ij,ij->j', v, v)
 
-    def _widths(self, t: float) -> tuple[Array, Indices]:
+    def widths(self, t: float) -> tuple[Array, Indices]:
         """Return each cell's width in standard deviations (size,), and which are too wide."""
         if self.sensor.time_dependent or callable(self.sensor.covariance):
             return self._measured_widths(t)

@@ -61,18 +61,19 @@ class Predictive:
     @classmethod
     @np.errstate(all='ignore')
     def of_cells(cls, sensor: Sensor, weights: Array, centres: Array, spacing: Array, t: float,
-                 average: bool = True) -> Predictive:
+                 average: bool = True, width: Array | None = None) -> Predictive:
         """
         Return that of cells about centres (n, N) with weights (N,).
 
         spacing: (n,) or (n, N), 0 on axes that the sensor does not see; average: whether cells
-        that are wider than it resolves are cut, as a likelihood is averaged over them.
+        that are wider than it resolves are cut, as a likelihood is averaged over them; width: how
+        far they reach, (N,), where that is known, as by cell_widths.
         """
         keep = weights > NEGLIGIBLE * weights.max(initial=0.0)
         w, x = weights[keep], centres[:, keep]
         if average and len(w):
             cells = spacing if spacing.ndim == 1 else spacing[:, keep]
-            width = cell_widths(sensor, x, cells, t)
+            width = cell_widths(sensor, x, cells, t) if width is None else width[keep]
             wide = (width > RESOLVED) & (w > SIGNIFICANT * w.max())
             if wide.any():
                 w, x = _cut(w, x, np.broadcast_to(cells.reshape(len(x), -1), x.shape), wide,
