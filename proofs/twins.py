@@ -154,6 +154,17 @@ class Twins:
             self._services[service](Empty.Request(), Empty.Response())
             self._forget(self.twin.tracker.filter.uniform(), None)
 
+    def tick(self) -> None:
+        """Let there be a clock, and then some time."""
+        self.events += 1
+        self._advance(events.MS)
+
+    def begin_anew(self) -> None:
+        """Forget all that was believed, ten seconds later, out of reach of all that was sent."""
+        self._advance(10 * SECOND)
+        self.restart('reset')
+        self._last = None
+
     def settle(self) -> None:
         """Let the node work in all that waits."""
         self.graph.until(self._is_idle, 'the work')

@@ -5,8 +5,9 @@ from importlib import import_module
 import pytest
 
 #: What each proof may do here.
-SHARES = {'change': 1.0, 'false_alarms': 0.01, 'fuzz': 0.003, 'hostile': 0.2, 'late': 0.01,
-          'overload': 0.1, 'signals': 0.02, 'state': 0.05, 'wrong_configurations': 0.02}
+SHARES = {'change': 1.0, 'examples': 0.01, 'false_alarms': 0.01, 'fuzz': 0.003, 'hostile': 0.2,
+          'late': 0.01, 'overload': 0.07, 'signals': 0.02, 'soak': 0.003, 'state': 0.05,
+          'wire': 0.02, 'wrong_configurations': 0.02}
 
 
 @pytest.mark.parametrize('name', SHARES)
