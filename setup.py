@@ -43,6 +43,7 @@ setup(
         'test': ['pytest>=7.4,<9', 'pytest-xdist', 'hypothesis', 'setuptools', 'PyWavelets',
                  'numba', 'filterpy', 'dask[distributed]'],
         # The plugins are those with which Jazzy runs ament_flake8; without them it checks less.
+        'prove': ['coverage'],
         'lint': [
             'ros-jazzy-ament-flake8',
             'flake8-blind-except',

@@ -44,7 +44,7 @@ def test(arguments):
 
 
 def prove(arguments):
-    run(environment() / 'python', '-m', 'proofs', *arguments)
+    run(environment('prove') / 'python', '-m', 'proofs', *arguments)
 
 
 def lint(arguments):
