@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from typing import Any
 
 from benchmarks.progress import Progress
 import numpy as np
@@ -120,7 +121,8 @@ def _mutate(node: ast.AST) -> None:
     elif isinstance(node, ast.BoolOp):
         node.op = _JOINED[type(node.op)]()
     elif isinstance(node, ast.Constant):
-        node.value = not node.value if isinstance(node.value, bool) else node.value + 1
+        value: Any = node.value
+        node.value = not value if isinstance(value, bool) else value + 1
     elif isinstance(node, ast.UnaryOp):
         # not x becomes x, as not not x
         node.operand = ast.UnaryOp(ast.Not(), copy.deepcopy(node.operand))

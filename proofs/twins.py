@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 import math
 from typing import Any
+import warnings
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 import numpy as np
@@ -214,7 +215,10 @@ class Twins:
 
         setattr(Publisher, 'publish', overhear)
         try:
-            yield
+            with warnings.catch_warnings():
+                # what numpy warns of would be on the stderr of a process
+                warnings.simplefilter('error', RuntimeWarning)
+                yield
         finally:
             setattr(Publisher, 'publish', publish)
 

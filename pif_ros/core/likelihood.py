@@ -65,8 +65,10 @@ class GridLikelihood:
         origin, v, square = self._whitened
         if cells is not None:
             v, square = np.take(v, cells, axis=1), square[cells]
-        u = self._whiten @ y - origin
-        return Terms(u, v, square, self._log_constant - 0.5 * float(u @ u), places, own)
+        with np.errstate(over='ignore', invalid='ignore'):
+            u = self._whiten @ y - origin
+            constant = self._log_constant - 0.5 * float(u @ u)
+        return Terms(u, v, square, constant, places, own)
 
     def remarks(self, name: str) -> list[str]:
         """Return a sentence where some cells are wider than the likelihood."""
