@@ -43,7 +43,8 @@ _JOINED = {ast.And: ast.Or, ast.Or: ast.And}
 
 def run(share: float = 1.0) -> list[str]:
     """Try all mutants, or a seeded choice of them, and count those that the tests notice."""
-    mutants = [(module, k) for module in LAYER for k in range(len(list(_places(_tree(module)))))]
+    mutants = [(module, k) for module in LAYER
+               for k in range(len(list(_places(_tree(ROOT, module)))))]
     rng = np.random.default_rng(SEED)
     count = max(round(share * len(mutants)), 1)
     chosen = sorted(rng.choice(len(mutants), count, replace=False).tolist())
@@ -66,7 +67,7 @@ def run(share: float = 1.0) -> list[str]:
 
 def _survivor(folder: Path, module: str, number: int) -> str | None:
     """Return what a mutant is where its tests do not notice it."""
-    tree = _tree(module)
+    tree = _tree(folder, module)
     place = list(_places(tree))[number]
     before = ast.unparse(place)
     _mutate(place)
@@ -93,8 +94,8 @@ def _noticed(folder: Path, tests: list[str]) -> bool:
     return done.returncode != 0
 
 
-def _tree(module: str) -> ast.Module:
-    return ast.parse((ROOT / 'pif_ros' / f'{module}.py').read_text(encoding='utf-8'))
+def _tree(folder: Path, module: str) -> ast.Module:
+    return ast.parse((folder / 'pif_ros' / f'{module}.py').read_text(encoding='utf-8'))
 
 
 def _places(tree: ast.AST) -> Iterator[ast.AST]:
