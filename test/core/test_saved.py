@@ -131,6 +131,26 @@ def test_beliefs_are_kept_in_c_order_in_which_they_are_saved(name):
             assert all(a.flags.c_contiguous for a in arrays(tracker.newest.belief))
 
 
+def test_what_is_remembered_of_how_they_fitted_is_saved():
+    wary = {'measurements.main.gate.tail_probability': 0.5,
+            'measurements.main.gate.max_consecutive_rejections': 9,
+            'measurements.far.gate.tail_probability': 0.6, 'recovery.when_lost': True,
+            'measurements.far.outlier_probability': 0.1, 'lost.false_alarm_rate': 0.1}
+    tracker, seen = made('df, two sensors', **wary), set()
+    for k in range(40):
+        # it is where it was, then somewhere else
+        x = 0.5 if k < 10 else 3.0
+        tracker.observe(Measurement(T + k * SECOND // 9, 'main', (x, 0.1 * (k % 3))))
+        if k % 7 == 6:
+            tracker.observe(Measurement(T + k * SECOND // 9, 'far', (4.0 - 0.1 * (k % 4),)))
+        tracker.estimate()
+        watch = tracker.memory().anchor.watch
+        assert resumed(tracker, 'df, two sensors', **wary).memory().anchor.watch == watch
+        seen |= {('score', watch.score > 0), ('lost', watch.lost), watch.rejected}
+        seen.add(('recoveries', watch.recoveries > 0))
+    assert {('score', True), ('lost', True), ('recoveries', True)} < seen and len(seen) > 7
+
+
 def test_what_decides_is_saved_and_how_late_is_too_late_goes_on():
     tracker = made('df')
     for event in events(tracker, 16, seed=1):
@@ -250,6 +270,7 @@ def replaced(name, key, value):
     ('df', 'measurements.stamps_ns', 0), ('df', 'measurements.stamps_ns', T + 10 * SECOND),
     ('df', 'measurements.sources', 1), ('df', 'measurements.sources', -1),
     ('df, two sensors', 'anchored.sources', 2), ('df', 'anchored.stamps_ns', 1),
+    ('df', 'watch.score', -1.0), ('df', 'watch.score', math.inf), ('df', 'watch.counts', 2),
     ('df', 'anchor.stamp_ns', 0), ('df', 'anchor.total_log_evidence', math.nan),
     ('df, active', 'belief.windows', 21), ('df, active', 'belief.windows', -1),
     ('df, active', 'belief.cells', math.inf), ('df, active', 'belief.cells', -1.0),

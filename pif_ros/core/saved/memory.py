@@ -120,7 +120,7 @@ def _watch_arrays(tracker: Tracker[Any], watch: Watch) -> Arrays:
 def _watch(tracker: Tracker[Any], arrays: Arrays) -> Watch:
     [score], [lost, recoveries, *rejected] = (arrays[name].tolist() for name in (
         'score', 'counts'))
-    check('watch', score >= 0 and lost in (0, 1) and min([recoveries, *rejected]) >= 0,
+    check('watch', 0 <= score < np.inf and lost in (0, 1) and min([recoveries, *rejected]) >= 0,
           'numbers, 0 or more')
     return Watch(score, bool(lost), tuple(sorted(
         (name, count) for name, count in zip(tracker.filter.sensors, rejected) if count)),
