@@ -43,7 +43,8 @@ class Facts:
     longest in seconds by kind of work; busy: share of the time that the work took; skipped: poses
     that the timer owed; behind: seconds for which there was more to do than could be done; faults:
     callbacks that failed; restarts: how often the belief was begun anew, and why at last;
-    log_volume: of the grid; masses: those of the modes, as they were when they were last found.
+    log_volume: of the grid; masses: those of the modes, as they were when they were last found;
+    active: whether it listens.
     """
 
     tracker: Tracker[Any]
@@ -60,6 +61,7 @@ class Facts:
     why: str = ''
     log_volume: float = 0.0
     masses: Sequence[float] = ()
+    active: bool = True
 
 
 def statuses(facts: Facts) -> list[Status]:
@@ -82,6 +84,8 @@ def filter_status(facts: Facts) -> Status:
               'faults': str(facts.faults), 'restarts': str(facts.restarts)}
     if facts.why:
         values['last restart'] = facts.why
+    if not facts.active:
+        return Status('filter', OK, 'inactive: it does not listen until it is activated', values)
     if facts.now_ns is None:
         return Status('filter', WARN, 'waits for a /clock', values)
     if newest_ns is None:
@@ -158,6 +162,8 @@ def source_status(name: str, account: SourceAccount, facts: Facts,
               'lost before us': account.lost}
     words = {key: str(value) for key, value in values.items()} | dict(_traffic(account, now_ns))
     concerns = [(OK, str(account) if account.received else 'nothing received yet')]
+    if not facts.active:
+        return Status(name, *concerns[0], words)
     if now_ns is not None and not quiet:
         silence = traffic.silence(now_ns, facts.since_ns)
         concerns.append((_level(silence, limits.max_age), f'silent for {silence:.1f} s'))

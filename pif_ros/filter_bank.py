@@ -42,7 +42,8 @@ class Target(FilterNode):
         self._many, self._bank_wake = many, wake
         # before the process' own arguments, which would put all targets into one namespace
         place = ['--ros-args', '-r', f'__ns:={namespace}', '-r', '__node:=filter_node', '--']
-        super().__init__(cli_args=[*place, *(cli_args or ())], **kwargs)
+        # whose services would be five more for each target: the bank starts them all
+        super().__init__(managed=False, cli_args=[*place, *(cli_args or ())], **kwargs)
 
     @property
     def state_file(self) -> Path | None:

@@ -2,35 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 import functools
 import math
 import time
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from lifecycle_msgs.srv import ChangeState
 from pif_ros import interface, parameters
 from pif_ros.accounts import Accounts, Throttle
-from pif_ros.config import build_tracker, ConfigError, describe, find_grid, find_system
+from pif_ros.config import build_tracker, Config, ConfigError, describe, find_grid, find_system
 from pif_ros.core.active import ActiveGridFilter
-from pif_ros.core.controls import carries_across
+from pif_ros.core.continuous import PathBelief
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import Estimate, Memory, Tracker
 from pif_ros.diagnostics import Facts
 from pif_ros.health import Health
 from pif_ros.inbox import Inbox
 from pif_ros.keeper import Keeper
+from pif_ros.listener import Listener
 from pif_ros.outputs import Outputs
 from pif_ros.process import guarded
 from pif_ros.resuming import Resuming
-from pif_ros.sources import ControlSource, Inlet, Refused, Source
+from pif_ros.sources import Refused
 from pif_ros.start import start_of
 from pif_ros.stopwatch import Stopwatch, TimedFilter
 from pif_ros.timekeeper import ClockSet, Timekeeper
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, ParameterUninitializedException
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from std_srvs.srv import Empty, Trigger
 
@@ -42,85 +44,137 @@ FORECASTS_TAKE = 4
 AT_ONCE = 1e-3
 
 
-class FilterNode(Node):
+class FilterNode(LifecycleNode):
     """
     Measurements in; pose, covariance and density out, on the topics of interface.py.
 
-    Raises ConfigError for parameters that make no filter.
+    It configures and activates itself, unless autostart is false: then a lifecycle manager does.
+    managed: whether one can; where not, it starts in any case.  Raises ConfigError for parameters
+    that make no filter, as far as these are looked at here.
     """
 
-    def __init__(self, **kwargs: Any) -> None:
+    def __init__(self, managed: bool = True, **kwargs: Any) -> None:
         try:
-            super().__init__('filter_node', **kwargs)
+            super().__init__('filter_node', enable_communication_interface=managed, **kwargs)
         except (InvalidParameterTypeException, ParameterUninitializedException):
             raise ConfigError(parameters.mistyped(self)) from None
         given = self._given()
         self.told = bool(given)
         self.config = parameters.declare(self, given)
-        self.tracker = self._make_tracker()
-        self.accounts = Accounts(self.config.measurements.names, self.tracker.filter.model.inputs)
-        self.inbox = Inbox(self.tracker, self.accounts, self.config, self.report)
         self.faults = self.skipped = self.restarts = 0
+        self.accounts = Accounts(())
         self.watch = Stopwatch()
         self._why, self._lost = '', False
         self._throttle = Throttle()
-        self._published_ns = -1
-        self._next_forecast = 0.0
-        self._took = math.inf
-        self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
-        self._since_ns = 0
+        self._next_forecast, self._took = 0.0, math.inf
+        self._since_ns, self._published_ns = 0, -1
+        self._health: Health
+        self._is_made = self._is_active = False
+        self._live = _live(self.config)
         self._time = Timekeeper(self, round(self.config.time.max_ahead * NANOSECONDS),
                                 self._on_clock_set)
-        self._health = Health(self, self.config.diagnostics.rate, self.facts,
-                              self._on_diagnostics)
-        self._log_volume = sum(math.log(high - low) for low, high in zip(
-            self.config.grid.lower, self.config.grid.upper))
-        self._live: dict[str, Any] = {'pose.estimator': self.config.pose.estimator,
-                                      'density.rate': self.config.density.rate,
-                                      'modes.rate': self.config.modes.rate,
-                                      **{f'measurements.{name}.enabled': source.enabled
-                                         for name, source
-                                         in self.config.measurements.sources.items()}}
-        model = find_system(self.config).model
-        self._outputs = Outputs(self, self.config, model, find_grid(self.config, model),
-                                self._live)
-        self._keeper = Keeper(self.config, self.tracker, self.report)
-        self._warm_up()
-        self._connect()
-        self._resuming = Resuming(self, self._keeper, self._recall, lambda: self._published_ns,
-                                  self._now, self.config.checkpoint_period)
+        self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
+        self.add_on_set_parameters_callback(self._on_parameters)
+        if managed:
+            asked = self._service_change_state
+            asked.callback = functools.partial(self._on_change_state, asked.callback)
+        if self.config.autostart or not managed:
+            self._refusal = ''
+            if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+                raise ConfigError(self._refusal)
+            self.trigger_activate()
+
+    # What a lifecycle manager asks for
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make the filter, and all topics and services; say why where there is none to be made."""
+        before = self._entities()
+        try:
+            self._make()
+        except Exception as error:  # noqa: B902  rclpy would swallow it
+            self._destroy(before)
+            self._refusal = str(error)
+            if not isinstance(error, ConfigError):
+                self._refusal = f'{type(error).__name__}: {error}'
+            if not self.config.autostart:
+                self.get_logger().error(self._refusal)
+            return TransitionCallbackReturn.FAILURE
+        self._before, self._is_made = before, True
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Listen and publish; what was believed is believed still."""
+        self._is_active = True
+        self._outputs.restart()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Neither listen nor publish; what waits is worked in."""
+        self._is_active = False
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Save what is to be kept, and let go of filter, topics and services."""
+        self._release()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Do the same, from any state and for ever."""
+        self._release()
+        return super().on_shutdown(state)
+
+    def _on_change_state(self, change: Callable[..., Any], request: ChangeState.Request,
+                         response: ChangeState.Response) -> ChangeState.Response:
+        """Answer also where there is no such transition, for which rclpy would raise."""
+        try:
+            return change(request, response)
+        except Exception as error:  # noqa: B902  RCLError has no public name
+            wanted = request.transition.label or request.transition.id
+            self.report('lifecycle', f'lifecycle: expected a transition from here, got {wanted!r} '
+                        f'({str(error).split(", at ")[0]})')
+            response.success = False
+            return response
+
+    def finish(self) -> None:
+        """Account for what still waits, and save what is to outlast the process."""
+        if self._is_made:
+            self.drain()
+            self._resuming.finish()
+
+    def _release(self) -> None:
+        self.finish()
+        self._is_active = False
+        if self._is_made:
+            self._is_made = False
+            self._destroy(self._before)
+
+    def _entities(self) -> list[Any]:
+        return [*self.publishers, *self.subscriptions, *self.services, *self.timers, *self.guards]
+
+    def _destroy(self, spared: list[Any]) -> None:
+        """Destroy all topics, services and timers that were made since."""
+        kept = set(map(id, spared))
+        for kind, some in (('publisher', self.publishers), ('subscription', self.subscriptions),
+                           ('service', self.services), ('timer', self.timers),
+                           ('guard_condition', self.guards)):
+            for entity in list(some):
+                if id(entity) not in kept:
+                    getattr(self, f'destroy_{kind}')(entity)
 
     # What comes in
 
-    @guarded
-    def _on_message(self, inlet: Source | ControlSource, msg: Any,
-                    info: Mapping[str, Any]) -> None:
-        account, now_ns = inlet.account, self._now()
-        account.received += 1
-        lost = inlet.lost(info['publication_sequence_number'])
-        if lost and self.count_publishers(self.resolve_topic_name(inlet.topic)) == 1:
-            # several publishers count each for themselves, and which one sent is not told
-            account.lose(lost)
-            self.report(f'{inlet.name}: lost', f'{inlet.name}: {lost} {inlet.what}s were lost '
-                        'before they came here, such as in a full queue of DDS')
-        try:
-            if not self._live.get(f'{inlet.prefix}.enabled', True):
-                raise Refused('disabled', f'{inlet.prefix}.enabled is false')
-            item = inlet.item(msg, now_ns, self._arrival(info))
-        except Refused as refused:
-            account.traffic.arrive(now_ns or 0)
-            self.inbox.reject(inlet, refused.reason, str(refused))
-            return
-        except Exception:
-            account.reject('fault')
-            raise
-        account.traffic.arrive(now_ns or 0, item.stamp_ns if inlet.is_stamped else None)
-        alone = not self.inbox.has_work
-        self.inbox.put(inlet, item)
+    def _on_arrival(self, alone: bool) -> None:
+        """Work in what has arrived, now where nothing else waited and the work is short."""
         if alone and self._took < AT_ONCE:
             self._work()
         else:
             self._wake.trigger()
+
+    def _refuses(self, prefix: str) -> str:
+        """Return in a word why a source is not listened to now, '' where it is."""
+        if not self._is_active:
+            return 'inactive'
+        return '' if self._live.get(f'{prefix}.enabled', True) else 'disabled'
 
     @guarded
     def _on_initial_pose(self, msg: PoseWithCovarianceStamped) -> None:
@@ -152,7 +206,7 @@ class FilterNode(Node):
     @guarded
     def _on_clock_set(self, clock: ClockSet) -> None:
         self.get_logger().info(clock.text)
-        if clock.goes_on and not clock.by_ns:
+        if not self._is_made or clock.goes_on and not clock.by_ns:
             return
         self.inbox.drain()
         newest = self.tracker.estimate() if clock.goes_on else None
@@ -162,7 +216,10 @@ class FilterNode(Node):
         if newest is None or newest.stamp_ns is None:
             self._restart(None, None, clock.text)
         else:
-            self._restart(newest.belief, newest.stamp_ns + clock.by_ns, clock.text)
+            belief = newest.belief
+            if isinstance(belief, PathBelief):
+                belief = belief.moved(clock.by_ns)
+            self._restart(belief, newest.stamp_ns + clock.by_ns, clock.text)
 
     def _on_parameters(self, changes: list[Parameter]) -> SetParametersResult:
         try:
@@ -192,7 +249,7 @@ class FilterNode(Node):
     @guarded
     def _on_timer(self) -> None:
         now_ns = self._now()
-        if now_ns is None or not self.is_due(now_ns):
+        if now_ns is None or not self._is_active or not self.is_due(now_ns):
             return
         began = time.monotonic()
         if began < self._next_forecast:
@@ -218,7 +275,7 @@ class FilterNode(Node):
                      self.watch.summary(), self.watch.busy(), self.skipped,
                      time.monotonic() - since if since else 0.0, self.faults,
                      self.restarts + self.inbox.gaps,
-                     self._why, self._log_volume, masses)
+                     self._why, self._log_volume, masses, self._is_active)
 
     def is_due(self, now_ns: int) -> bool:
         """Return whether a pose is to be predicted to now."""
@@ -235,11 +292,6 @@ class FilterNode(Node):
     def drain(self) -> None:
         """Account for what still waits."""
         self.inbox.drain()
-
-    def finish(self) -> None:
-        """Account for what still waits, and save what is to outlast the process."""
-        self.drain()
-        self._resuming.finish()
 
     def _recall(self, memory: Memory[Any], published_ns: int) -> None:
         self.restarts += 1
@@ -259,7 +311,7 @@ class FilterNode(Node):
 
     def _publish(self, estimate: Estimate[Any]) -> None:
         """Publish an estimate, but never with an older stamp than the last."""
-        if estimate.stamp_ns is None:
+        if estimate.stamp_ns is None or not self._is_active:
             return
         stamp_ns = max(estimate.stamp_ns, self._published_ns)
         if estimate.stamp_ns < stamp_ns:
@@ -291,12 +343,39 @@ class FilterNode(Node):
 
     @guarded
     def _look(self) -> None:
-        self._health.look()
+        if self._is_made:
+            self._health.look()
 
     # How it is set up
 
     def _given(self) -> dict[str, Any]:
         return parameters.told(self)
+
+    def _make(self) -> None:
+        """Make the filter, and what goes in and out; ConfigError where there is none."""
+        config = self.config
+        self.tracker = self._make_tracker()
+        filter_ = self.tracker.filter
+        self.accounts = Accounts(config.measurements.names, filter_.model.inputs)
+        self.inbox = Inbox(self.tracker, self.accounts, config, self.report)
+        self._since_ns, self._published_ns = 0, -1
+        self._health = Health(self, config.diagnostics.rate, self.facts, self._on_diagnostics)
+        model = find_system(config).model
+        grid = find_grid(config, model)
+        self._log_volume = math.log(grid.cell_volume) + math.log(grid.size)
+        self._outputs = Outputs(self, config, model, grid, self._live)
+        self._keeper = Keeper(config, self.tracker, self.report)
+        self._warm_up()
+        Listener(self, config, filter_, self.accounts, self.inbox, self._time, self._refuses,
+                 self._on_arrival)
+        start = interface.INITIAL_POSE
+        self.create_subscription(start.type, start.name, self._on_initial_pose, start.qos)
+        for service, callback in ((interface.RESET, self._on_reset),
+                                  (interface.GLOBAL, self._on_global)):
+            self.create_service(service.type, service.name, callback)
+        self._start()
+        self._resuming = Resuming(self, self._keeper, self._recall, lambda: self._published_ns,
+                                  self._now, config.checkpoint_period)
 
     def _make_tracker(self) -> Tracker[Any]:
         return build_tracker(self.config)
@@ -327,28 +406,6 @@ class FilterNode(Node):
             f'kernel.time_step: a step of {step:g} s takes {min(needed):.2g} s to compute: the '
             'filter cannot keep up; take a longer step or a coarser grid']
 
-    def _connect(self) -> None:
-        config = self.config
-        known = {self.resolve_topic_name(own.name): own.type
-                 for own in (*interface.PUBLICATIONS, *interface.SUBSCRIPTIONS)}
-        model, sensors = self.tracker.filter.model, self.tracker.filter.sensors
-        if self.accounts.control is not None:
-            # before the measurements: of what comes together it is the first to be taken
-            too_fast = functools.partial(carries_across, model, find_grid(config, model),
-                                         seconds=config.kernel.time_step)
-            self._listen(ControlSource(config.control, model.inputs, config.time.max_ahead,
-                                       too_fast, self.accounts.control), known)
-        for name, source_config in config.measurements.sources.items():
-            self._listen(Source(name, source_config, sensors[name], config.time.max_ahead,
-                                self.accounts.sources[name]), known)
-        start = interface.INITIAL_POSE
-        self.create_subscription(start.type, start.name, self._on_initial_pose, start.qos)
-        for service, callback in ((interface.RESET, self._on_reset),
-                                  (interface.GLOBAL, self._on_global)):
-            self.create_service(service.type, service.name, callback)
-        self.add_on_set_parameters_callback(self._on_parameters)
-        self._start()
-
     def _start(self) -> None:
         """Let the work be done when there is some."""
         self._wake = self.create_guard_condition(self._work)
@@ -363,26 +420,14 @@ class FilterNode(Node):
         return (self.get_clock() if self._time.is_simulated
                 else Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _listen(self, inlet: Inlet, known: dict[str, Any]) -> None:
-        """Subscribe to an inlet, given the types of the topics that are known so far."""
-        try:
-            topic = self.resolve_topic_name(inlet.topic)
-            if known.setdefault(topic, inlet.type) is not inlet.type:
-                raise ValueError(f'its messages are of type {known[topic].__name__}')
-            self.create_subscription(
-                inlet.type, inlet.topic, functools.partial(self._on_message, inlet),
-                interface.measurement_qos(self.config.measurements.queue_length))
-        except Exception as error:  # noqa: B902  rclpy's own have no common base
-            raise ConfigError(f'{inlet.prefix}.topic: expected a topic for messages '
-                              f'of type {inlet.type.__name__}, got {inlet.topic!r} '
-                              f'({str(error).splitlines()[0]})') from None
-
-    def _arrival(self, info: Mapping[str, Any]) -> int | None:
-        """Return when a message arrived, None where the node does not live in that time."""
-        if self._time.is_simulated:
-            return None
-        return info.get('received_timestamp') or None
-
     def _now(self) -> int | None:
         """Return the time in nanoseconds, None before there is a /clock."""
         return self._time.now()
+
+
+def _live(config: Config) -> dict[str, Any]:
+    """Return the values of the parameters that may change while the node runs."""
+    return {'pose.estimator': config.pose.estimator, 'density.rate': config.density.rate,
+            'modes.rate': config.modes.rate,
+            **{f'measurements.{name}.enabled': source.enabled
+               for name, source in config.measurements.sources.items()}}

@@ -47,16 +47,17 @@ def guarded(callback: Callable[..., Any]) -> Callable[..., Any]:
     """
     Keep a node alive whatever one of its callbacks meets.
 
-    The fault is counted in the node's faults and told by its report(kind, text); a service answers
-    with its response as it was.
+    The fault is counted in the node's faults and told by its report(kind, text), self's where it
+    is the node, else its _node's; a service answers with its response as it was.
     """
     @functools.wraps(callback)
     def run(self: Any, *args: Any) -> Any:
         try:
             return callback(self, *args)
         except Exception as error:  # noqa: B902
-            self.faults += 1
-            self.report('fault', f'{callback.__name__}: {type(error).__name__}: {error}')
+            node = getattr(self, '_node', self)
+            node.faults += 1
+            node.report('fault', f'{callback.__name__}: {type(error).__name__}: {error}')
             return args[-1] if args else None
     return run
 

@@ -28,7 +28,6 @@ class Resuming:
                  period: float) -> None:
         self._node, self._keeper, self._is_due = node, keeper, keeper.is_there()
         self._recall, self._published_ns, self._now = recall, published_ns, now
-        self.report = node.report
         for service, callback in ((interface.SAVE, self._on_save),
                                   (interface.LOAD, self._on_load)):
             node.create_service(service.type, service.name, callback)
@@ -41,17 +40,9 @@ class Resuming:
                               on_clock_change=False), post_callback=self._on_clock)
         self._start()
 
-    @property
-    def faults(self) -> int:
-        """Return the node's faults."""
-        return int(self._node.faults)
-
-    @faults.setter
-    def faults(self, count: int) -> None:
-        self._node.faults = count
-
     def finish(self) -> None:
-        """Save what is to outlast the process."""
+        """Save what is to outlast the node."""
+        self._is_due = False
         self._keeper.close(self._published_ns())
 
     def _start(self) -> None:
@@ -63,7 +54,7 @@ class Resuming:
         if told.success:
             self._node.get_logger().info(told.message)
         else:
-            self.report('state', f'{told.message}: from the prior')
+            self._node.report('state', f'{told.message}: from the prior')
 
     @guarded
     def _on_clock(self, _: TimeJump) -> None:

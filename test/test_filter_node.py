@@ -176,14 +176,16 @@ def test_topics_and_services_are_those_of_the_contract(graph, arguments, space, 
             assert (info.node_namespace, info.node_name) == (space, name)
             assert (info.topic_type, info.qos_profile.reliability.name,
                     info.qos_profile.durability.name) == expected
-    published = {resolved(topic) for topic in TOPICS} | {'/parameter_events', '/rosout'}
+    published = {resolved(topic) for topic in TOPICS} | {
+        '/parameter_events', '/rosout', resolved('~/transition_event')}
     graph.until(lambda: published == {
         topic for topic, _ in rig.peer.get_publisher_names_and_types_by_node(name, space)},
         f'it publishes {published}')
     offered = dict(rig.peer.get_service_names_and_types_by_node(name, space))
     for service, kind in SERVICES.items():
         assert offered.pop(resolved(service)) == [kind]
-    assert all(kind.split('/')[0] in ('rcl_interfaces', 'type_description_interfaces')
+    assert all(kind.split('/')[0] in (
+        'rcl_interfaces', 'type_description_interfaces', 'lifecycle_msgs')
                for [kind] in offered.values())
 
 

@@ -265,7 +265,7 @@ def test_what_does_not_change_the_filter_may_change_between(file, name, value):
 def test_every_parameter_is_either_of_the_filter_or_named_here():
     # a new section has to be placed: a state of other values in it goes on, or does not
     free = {'prior', 'pose', 'publish', 'density', 'modes', 'markers', 'time', 'frame_id', 'lost',
-            'recovery', 'diagnostics', 'state_file', 'checkpoint_period'}
+            'recovery', 'diagnostics', 'state_file', 'checkpoint_period', 'autostart'}
     of_the_filter = {'measurements.names', 'measurements.main.sensor', 'control.hold'}
     known = identity(Config.from_parameters({}))
     for name in specifications():

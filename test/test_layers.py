@@ -69,7 +69,7 @@ LAYERS = [
     ['conversions', 'pace'],
     ['sources', 'reference', 'health', 'mode_messages', 'verdicts'],
     ['inbox', 'mode_outputs', 'resuming', 'simulation_node', 'start'],
-    ['outputs'],
+    ['outputs', 'listener'],
     ['filter_node'],
     ['filter_bank'],
     ['node', 'simulate'],
@@ -84,7 +84,7 @@ OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'}
 
 #: Who may speak to rclpy, and who of them handles messages.
 SPEAKS_ROS = {'parameters', 'outputs', 'mode_outputs', 'filter_node', 'filter_bank', 'node',
-              'interface', 'conversions', 'mode_messages', 'health', 'resuming', 'start',
+              'interface', 'conversions', 'mode_messages', 'health', 'listener', 'resuming', 'start',
               'timekeeper', 'simulate', 'simulation_node',
               'plaza.player', 'plaza.player_node', 'plaza.recorder', 'plaza.demonstration'}
 HANDLES_MESSAGES = {'conversions', 'mode_messages', 'interface', 'filter_node', 'simulation_node',

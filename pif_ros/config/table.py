@@ -15,7 +15,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from pif_ros.config.kinds import ConfigError, NAME, parameter, PERIOD, taken, TEXT, Value
+from pif_ros.config.kinds import BOOL, ConfigError, NAME, parameter, PERIOD, taken, TEXT, Value
 from pif_ros.config.sections import (ControlConfig, DensityConfig, DiagnosticsConfig, FilterConfig,
                                      GateConfig, GridConfig, KernelConfig, LostConfig,
                                      MeasurementsConfig, ModelConfig, ModesConfig, OperatorConfig,
@@ -40,6 +40,8 @@ class Config:
     lost: LostConfig = field(default_factory=LostConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
     frame_id: str = parameter('map', NAME, 'frame of the poses and the density')
+    autostart: bool = parameter(True, BOOL, 'configure and activate at the start; if not, a '
+                                'lifecycle manager does')
     pose: PoseConfig = field(default_factory=PoseConfig)
     publish: PublishConfig = field(default_factory=PublishConfig)
     density: DensityConfig = field(default_factory=DensityConfig)

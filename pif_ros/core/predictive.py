@@ -95,6 +95,7 @@ class Predictive:
             2 * np.pi)
         return float(special.logsumexp(-0.5 * square, b=self.weights) + constant)
 
+    @np.errstate(over='ignore', invalid='ignore')
     def tail(self, y: ArrayLike) -> float:
         """
         Return P(p(Y) <= p(y)) for a Y that is drawn from p: how often y is surprised like that.
@@ -109,6 +110,9 @@ class Predictive:
         if not self._is_sound:
             return 0.0
         v = self._around(y)
+        if not np.all(np.isfinite(v)):
+            # so far out that the difference is no number
+            return 0.0
         if len(self.weights) == 1:
             return float(special.chdtrc(len(v), np.square(v).sum()))
         if np.any((v.min(axis=1) > REACH) | (v.max(axis=1) < -REACH)):

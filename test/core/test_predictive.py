@@ -115,6 +115,8 @@ def test_nothing_expected_or_far_beyond_all_of_it_has_no_tail():
     assert of(LINE, [], np.zeros((1, 0))).tail([0.0]) == 0.0
     assert of(LINE, [], np.zeros((1, 0))).log_density([0.0]) == -np.inf
     assert of(LINE, [0.5, 0.5], [[0.0, 1.0]]).tail([1e6]) == 0.0
+    plane = Sensor(lambda x, t: x, [[0.04, 0.0], [0.0, 0.04]])
+    assert of(plane, [0.5, 0.5], [[0.0, 1.0], [0.0, 1.0]]).tail([-1e308, 1e-308]) == 0.0
 
 
 GRID = Grid((-4,), (4,), (160,))

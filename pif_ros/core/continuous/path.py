@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -83,6 +83,13 @@ class PathBelief(Generic[Inner]):
     def forecast(self, now: Inner, controls: Controls = NO_CONTROLS) -> PathBelief[Inner]:
         """Return the same belief at a later time; the next increment starts where it did."""
         return PathBelief(now, self.anchor, self.y, self.stamp_ns, controls)
+
+    def moved(self, by_ns: int) -> PathBelief[Inner]:
+        """Return the same belief by a clock that is so much ahead."""
+        held = replace(self.controls, stamps_ns=tuple(
+            stamp + by_ns for stamp in self.controls.stamps_ns))
+        stamp_ns = None if self.stamp_ns is None else self.stamp_ns + by_ns
+        return replace(self, stamp_ns=stamp_ns, controls=held)
 
     @property
     def mass(self) -> float:

@@ -129,7 +129,8 @@ class Chain:
         """Return what becomes of a vector (size,)."""
         count, cells = self.pointers.shape
         room = np.empty((2, loops.LANES * (cells - 1) + 2 * self.reach))
-        loops.move_all(self.weights, self.moves, self.pointers, density, self.reach, room)
+        p = np.ascontiguousarray(density, dtype=float)
+        loops.move_all(self.weights, self.moves, self.pointers, p, self.reach, room)
         return room[count % 2, self.reach:self.reach + len(density)]
 
 

@@ -1,0 +1,91 @@
+"""What hears measurements and controls: each message is judged, counted and put where it waits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+import functools
+from typing import Any
+
+from pif_ros import interface
+from pif_ros.accounts import Accounts
+from pif_ros.config import Config, ConfigError, find_grid
+from pif_ros.core.controls import carries_across
+from pif_ros.core.filters import Filter
+from pif_ros.inbox import Inbox
+from pif_ros.process import guarded
+from pif_ros.sources import ControlSource, Inlet, Refused, Source
+from pif_ros.timekeeper import Timekeeper
+
+
+class Listener:
+    """
+    The subscriptions of a node to all of its sources, and to the control of a model with inputs.
+
+    refuses: says in a word why a source is not listened to now, '' where it is; arrived: called
+    when something was put into the inbox, with whether nothing waited before.  Raises ConfigError
+    for a topic that cannot be subscribed to.
+    """
+
+    def __init__(self, node: Any, config: Config, filter_: Filter[Any], accounts: Accounts,
+                 inbox: Inbox, time: Timekeeper, refuses: Callable[[str], str],
+                 arrived: Callable[[bool], None]) -> None:
+        self._node, self._inbox, self._time = node, inbox, time
+        self._refuses, self._arrived = refuses, arrived
+        self._depth = config.measurements.queue_length
+        self._known = {node.resolve_topic_name(own.name): own.type
+                       for own in (*interface.PUBLICATIONS, *interface.SUBSCRIPTIONS)}
+        model, ahead = filter_.model, config.time.max_ahead
+        if accounts.control is not None:
+            # before the measurements: of what comes together it is the first to be taken
+            too_fast = functools.partial(carries_across, model, find_grid(config, model),
+                                         seconds=config.kernel.time_step)
+            self._listen(ControlSource(config.control, model.inputs, ahead, too_fast,
+                                       accounts.control))
+        for name, source in config.measurements.sources.items():
+            self._listen(Source(name, source, filter_.sensors[name], ahead,
+                                accounts.sources[name]))
+
+    @guarded
+    def _on_message(self, inlet: Source | ControlSource, msg: Any,
+                    info: Mapping[str, Any]) -> None:
+        account, now_ns = inlet.account, self._time.now()
+        account.received += 1
+        lost = inlet.lost(info['publication_sequence_number'])
+        if lost and self._node.count_publishers(self._node.resolve_topic_name(inlet.topic)) == 1:
+            # several publishers count each for themselves, and which one sent is not told
+            account.lose(lost)
+            self._node.report(f'{inlet.name}: lost', f'{inlet.name}: {lost} {inlet.what}s were '
+                              'lost before they came here, such as in a full queue of DDS')
+        try:
+            if why := self._refuses(inlet.prefix):
+                raise Refused(why, f'it is {why}')
+            item = inlet.item(msg, now_ns, self._arrival(info))
+        except Refused as refused:
+            account.traffic.arrive(now_ns or 0)
+            self._inbox.reject(inlet, refused.reason, str(refused))
+            return
+        except Exception:
+            account.reject('fault')
+            raise
+        account.traffic.arrive(now_ns or 0, item.stamp_ns if inlet.is_stamped else None)
+        alone = not self._inbox.has_work
+        self._inbox.put(inlet, item)
+        self._arrived(alone)
+
+    def _listen(self, inlet: Inlet) -> None:
+        """Subscribe to an inlet, unless its topic is known to be of another type."""
+        try:
+            topic = self._node.resolve_topic_name(inlet.topic)
+            if self._known.setdefault(topic, inlet.type) is not inlet.type:
+                raise ValueError(f'its messages are of type {self._known[topic].__name__}')
+            self._node.create_subscription(
+                inlet.type, inlet.topic, functools.partial(self._on_message, inlet),
+                interface.measurement_qos(self._depth))
+        except Exception as error:  # noqa: B902  rclpy's own have no common base
+            raise ConfigError(f'{inlet.prefix}.topic: expected a topic for messages '
+                              f'of type {inlet.type.__name__}, got {inlet.topic!r} '
+                              f'({str(error).splitlines()[0]})') from None
+
+    def _arrival(self, info: Mapping[str, Any]) -> int | None:
+        """Return when a message arrived, None where the node does not live in that time."""
+        return None if self._time.is_simulated else info.get('received_timestamp') or None
