@@ -2,10 +2,10 @@
 
 from geometry_msgs.msg import PointStamped
 import numpy as np
-from pif_ros.config import ConfigError, SourceConfig
+from pif_ros.config import ConfigError, ControlConfig, SourceConfig
 from pif_ros.core.models import Sensor
 from pif_ros.core.tracker import Measurement
-from pif_ros.sources import Refused, Source
+from pif_ros.sources import Control, ControlSource, Refused, Source
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState, LaserScan, Range
@@ -149,3 +149,15 @@ def test_a_range_that_saw_nothing_is_no_measurement(low, high, value, good):
     else:
         why, sentence = reason(message, echo)
         assert why == 'out of range' and f'{value:g}' in sentence
+
+
+def test_a_control_is_asked_at_its_time_in_seconds_whether_a_step_can_follow_it():
+    asked = []
+    drive = ControlSource(ControlConfig('drive', 'sensor_msgs/msg/JointState', ('velocity',)),
+                          ('v', 'omega'), 1.0,
+                          lambda *given: asked.append(given) or len(asked) > 1)
+    message = JointState(velocity=(1.5, 0.2))
+    message.header.stamp.sec, message.header.stamp.nanosec = 999, 250_000_000
+    assert drive.item(message, NOW) == Control(999_250_000_000, (1.5, 0.2))
+    assert asked == [((1.5, 0.2), 999.25)]
+    assert reason(message, drive)[0] == 'too fast'

@@ -123,8 +123,10 @@ class Predictive:
     def _around(self, y: ArrayLike) -> Array:
         """Return what is expected, as whitened differences from a measurement, (m, N)."""
         given = np.asarray(y, dtype=float)[:, None]
-        v: Array = self._whiten @ self.sensor.difference(self.expected, given)
-        return v
+        with np.errstate(over='ignore', invalid='ignore'):
+            v: Array = self._whiten @ self.sensor.difference(self.expected, given)
+        # inf - inf: beyond all numbers is beyond all that is expected
+        return np.where(np.isnan(v), np.inf, v)
 
     @cached_property
     def _whiten(self) -> Array:

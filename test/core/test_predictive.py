@@ -127,6 +127,17 @@ TWO = FILTER.mixed(GridBelief.gaussian(GRID, [-2], [[0.1]]),
                    GridBelief.gaussian(GRID, [1], [[0.2]]), 0.3, 0)
 
 
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('size', [1e160, 1e300, 1.7e308])
+def test_what_is_beyond_all_numbers_has_no_tail_and_is_told_without_a_warning(size):
+    pair = Sensor(lambda x, t: x[:2], np.array([[1e-4, 0.99e-4], [0.99e-4, 1e-4]]))
+    expected = Predictive(pair, np.array([0.5, 0.5]), np.array([[0.0, 1.0], [0.0, 1.0]]),
+                          np.asarray(pair.covariance))
+    # the second of these is inf - inf when it is whitened
+    for y in ((size, 0.0), (size, size), (-size, size)):
+        assert expected.tail(y) == 0.0
+
+
 @pytest.mark.parametrize('name, y', [('place', 0.3), ('square', 3.1), ('undefined', 1.2)])
 def test_the_density_of_what_is_expected_is_the_evidence(name, y):
     expected = FILTER.predictive(TWO, name, 0)
