@@ -114,8 +114,8 @@ def verdict(watch: Watch, alarm: Alarm | None, filled: float,
     Return whether a filter is lost, by evidence, entropy and modes together.
 
     filled: the share of the grid that the belief fills, exp(entropy - that of the uniform one);
-    masses: those of its modes, heaviest first.  Lost is who is contradicted by the measurements,
-    and stays so until they fit again and the belief is in one place; unsure is who is not
+    masses: those of its modes, heaviest first, none where nobody has looked for them.  Lost is who
+    is contradicted by the measurements, and stays so until they fit again; unsure is who is not
     contradicted, but fills much of the grid, or has no mode that holds most of the mass.
     """
     heaviest, scattered = max(masses, default=0.0), len(masses) > 1
@@ -127,6 +127,7 @@ def verdict(watch: Watch, alarm: Alarm | None, filled: float,
     torn = scattered and heaviest < AMBIGUOUS
     where = (f'the belief fills {filled:.0%} of the grid' if spread else
              f'{len(masses)} places are possible, the likeliest by {heaviest:.0%}' if torn else
+             f'the belief fills {filled:.1%} of the grid' if not masses else
              'the belief is in one place' if not scattered else
              f'{heaviest:.0%} of the belief is in one place')
     if watch.lost:
