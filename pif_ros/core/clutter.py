@@ -44,6 +44,7 @@ class Clutter:
         width[np.flatnonzero(sensor.angular)] = np.inf
         return cls(tuple(((low + high) / 2).tolist()), tuple(width.tolist()))
 
+    @np.errstate(over='ignore')
     def log_density(self, y: ArrayLike) -> float:
         """Return the log density of a measurement (m,)."""
         y, width = np.asarray(y, dtype=float), np.array(self.width)

@@ -90,7 +90,7 @@ class Predictive:
         """Return log p(y), -inf where nothing is expected at all."""
         if not self._is_sound:
             return -math.inf
-        square = np.square(self._around(y)).sum(axis=0)
+        square = np.nan_to_num(np.square(self._around(y)), nan=np.inf, posinf=np.inf).sum(axis=0)
         constant = np.log(self._whiten.diagonal()).sum() - 0.5 * len(self.expected) * np.log(
             2 * np.pi)
         return float(special.logsumexp(-0.5 * square, b=self.weights) + constant)
