@@ -132,9 +132,14 @@ class Predictive:
 
     @cached_property
     def _is_sound(self) -> bool:
-        return bool(len(self.weights) and np.all(np.isfinite(self.weights))
-                    and np.all(np.isfinite(self.expected))
-                    and np.all(np.isfinite(self.covariance)))
+        parts = self.weights, self.expected, self.covariance
+        if not len(self.weights) or not all(np.all(np.isfinite(part)) for part in parts):
+            return False
+        try:
+            return bool(np.all(np.isfinite(self._whiten)))
+        except np.linalg.LinAlgError:
+            # a Kalman filter whose covariance is none any more
+            return False
 
     def _lattice(self, v: Array) -> tuple[Array, NDArray[np.intp]] | None:
         """Return width and number of a lattice's cells on each axis, None where it is no use."""

@@ -119,6 +119,12 @@ def test_nothing_expected_or_far_beyond_all_of_it_has_no_tail():
     assert of(plane, [0.5, 0.5], [[0.0, 1.0], [0.0, 1.0]]).tail([-1e308, 1e-308]) == 0.0
 
 
+def test_a_covariance_that_is_none_expects_nothing():
+    for S in ([[-1.0]], [[0.0]], [[np.nan]]):
+        broken = Predictive.gaussian(LINE, np.zeros(1), np.array(S))
+        assert broken.tail([0.0]) == 0.0 and broken.log_density([0.0]) == -np.inf
+
+
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('sensor', [LINE, PLANE, SOLID])
 @pytest.mark.parametrize('count', [1, 2])
