@@ -170,7 +170,7 @@ def _robust(filter_: Filter[Belief], belief: Belief, y: tuple[float, ...], sourc
     # what has left the grid says nothing, neither of y nor of clutter
     log_u = gate.clutter.log_density(y) + math.log(o * belief.mass)
     log_evidence = float(np.logaddexp(math.log1p(-o) + log_p, log_u))
-    share = math.exp(log_u - log_evidence)
+    share = math.exp(log_u - log_evidence) if log_evidence > -math.inf else 0.0
     if share < NEGLIGIBLE:
         return corrected, log_evidence
     mixed = cast(Expecting[Belief], filter_).mixed(corrected, belief, share, at_ns)

@@ -90,7 +90,7 @@ class Predictive:
         """Return log p(y), -inf where nothing is expected at all."""
         if not self._is_sound:
             return -math.inf
-        square = np.square(self._around(y)).sum(axis=0)
+        square = np.nan_to_num(np.square(self._around(y)), nan=np.inf, posinf=np.inf).sum(axis=0)
         constant = np.log(self._whiten.diagonal()).sum() - 0.5 * len(self.expected) * np.log(
             2 * np.pi)
         return float(special.logsumexp(-0.5 * square, b=self.weights) + constant)
@@ -134,9 +134,14 @@ class Predictive:
 
     @cached_property
     def _is_sound(self) -> bool:
-        return bool(len(self.weights) and np.all(np.isfinite(self.weights))
-                    and np.all(np.isfinite(self.expected))
-                    and np.all(np.isfinite(self.covariance)))
+        parts = self.weights, self.expected, self.covariance
+        if not len(self.weights) or not all(np.all(np.isfinite(part)) for part in parts):
+            return False
+        try:
+            return bool(np.all(np.isfinite(self._whiten)))
+        except np.linalg.LinAlgError:
+            # a Kalman filter whose covariance is none any more
+            return False
 
     def _lattice(self, v: Array) -> tuple[Array, NDArray[np.intp]] | None:
         """Return width and number of a lattice's cells on each axis, None where it is no use."""

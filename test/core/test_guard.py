@@ -181,6 +181,22 @@ def test_every_source_has_its_own_count_of_rejections():
     assert [made.recovered for made in tracker.corrections] == [False] * 4 + [True]
 
 
+@EVERY
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('y', [1e308, -1e308, 1e200, 1e-320])
+@pytest.mark.parametrize('o', [0.0, 1e-4])
+def test_no_number_is_too_large_or_too_small_to_be_judged(kind, y, o):
+    filter_ = FILTERS[kind]
+    prior = filter_.gaussian([0.5], [[0.4]])
+    guard = guard_of(filter_, outlier_probability=o, clutter=CLUTTER)
+    alone = Guard({'place': Gate(outlier_probability=o, clutter=CLUTTER)}, None, Alarm(1e-5))
+    for one in (guard, alone):
+        made = one.correct(filter_, prior, (y,), 'place', 0, tracker_watch())
+        assert o <= made.tail <= 1 and not np.isnan(made.log_evidence)
+        np.testing.assert_allclose(made.belief.mean(), prior.mean() if abs(y) > 1 else 0.4,
+                                   atol=0.3)
+
+
 # Outliers
 
 @pytest.mark.parametrize('y', [0.6, 2.5, 5.9, 40.0])

@@ -119,6 +119,22 @@ def test_nothing_expected_or_far_beyond_all_of_it_has_no_tail():
     assert of(plane, [0.5, 0.5], [[0.0, 1.0], [0.0, 1.0]]).tail([-1e308, 1e-308]) == 0.0
 
 
+def test_a_covariance_that_is_none_expects_nothing():
+    for S in ([[-1.0]], [[0.0]], [[np.nan]]):
+        broken = Predictive.gaussian(LINE, np.zeros(1), np.array(S))
+        assert broken.tail([0.0]) == 0.0 and broken.log_density([0.0]) == -np.inf
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('sensor', [LINE, PLANE, SOLID])
+@pytest.mark.parametrize('count', [1, 2])
+def test_beyond_all_numbers_nothing_is_expected(sensor, count):
+    one = of(sensor, [1 / count] * count, np.zeros((sensor.size, count)))
+    for y in (1e308, -1e308, 1e160):
+        given_ = np.array([y, 1e-308, -y][:sensor.size])
+        assert one.tail(given_) == 0.0 and one.log_density(given_) == -np.inf
+
+
 GRID = Grid((-4,), (4,), (160,))
 FILTER = DiracFeynmanFilter(ornstein_uhlenbeck().model, GRID, {
     'place': LINE, 'square': Sensor(lambda x, t: x**2, [[0.04]]),
