@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import array
-from collections.abc import Callable, Sequence
-import importlib
-import importlib.machinery
+from collections.abc import Sequence
 import math
-from pathlib import Path
-import re
-from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -36,95 +31,6 @@ def stamp_to_ns(stamp: Time) -> int:
 def stamp_from_ns(stamp_ns: int) -> Time:
     """Return a stamp of nanoseconds since the epoch, 0 or more."""
     return Time(sec=int(stamp_ns // NANOSECONDS), nanosec=int(stamp_ns % NANOSECONDS))
-
-
-def message_class(name: str) -> Any:
-    """
-    Return the class of an installed message type such as 'sensor_msgs/msg/Range'.
-
-    Nothing is imported but what the ROS message generators made: a package that holds the message
-    and its C type support.  Raises ValueError.
-    """
-    match = re.fullmatch(r'([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)', name)
-    if match is None:
-        raise ValueError(f'expected a message type such as sensor_msgs/msg/Range, got {name!r}')
-    package, message = match.groups()
-    spec = importlib.machinery.PathFinder.find_spec(package)
-    folders = [Path(place) for place in (spec and spec.submodule_search_locations) or []]
-    if not any((folder / 'msg').is_dir() and any(folder.glob(f'{package}_s__rosidl_typesupport*'))
-               for folder in folders):
-        raise ValueError(f'expected a type of an installed message package, got {name!r}')
-    found = getattr(importlib.import_module(f'{package}.msg'), message, None)
-    if found is None or not hasattr(found, 'get_fields_and_field_types'):
-        raise ValueError(f'expected a message of package {package}, got {name!r}')
-    return found
-
-
-def has_header(message: Any) -> bool:
-    """Return whether messages of a class carry a std_msgs/Header."""
-    return message.get_fields_and_field_types().get('header') == 'std_msgs/Header'
-
-
-def is_range(message: Any, fields: Sequence[str]) -> bool:
-    """Return whether what is read of a message of this class is a sensor_msgs/Range's range."""
-    return (message.__name__ == 'Range' and 'range' in fields
-            and {'min_range', 'max_range'} <= set(message.get_fields_and_field_types()))
-
-
-def in_range(msg: Any) -> bool:
-    """Return whether a Range saw something: within its limits if it has any, and not below 0."""
-    limited = msg.max_range > msg.min_range
-    return bool(msg.min_range <= msg.range <= msg.max_range if limited else msg.range >= 0)
-
-
-def field_reader(message: Any, paths: Sequence[str]) -> Callable[[Any], tuple[float, ...]]:
-    """
-    Return a function that reads the numbers at some paths of a message of this class.
-
-    A path such as 'pose.pose.position.x' or 'ranges[0]' is a number; a path to an array of
-    numbers is all of it.  No paths: 'data'.  Raises ValueError for a path that the class has not;
-    the reader raises IndexError for an array that is too short.
-    """
-    steps = [_path(message, path) for path in paths or ('data',)]
-
-    def read(msg: Any) -> tuple[float, ...]:
-        values: list[float] = []
-        for path in steps:
-            found = msg
-            for step in path:
-                found = found[step] if isinstance(step, int) else getattr(found, step)
-            if hasattr(found, '__len__'):
-                values.extend(float(v[0] if isinstance(v, bytes) else v) for v in found)
-            else:
-                values.append(float(found))
-        return tuple(values)
-
-    return read
-
-
-def _path(message: Any, path: str) -> tuple[str | int, ...]:
-    """Return the steps of a path, checked against the fields of a message class."""
-    steps: list[str | int] = []
-    kind = ''
-    for part in path.split('.'):
-        match = re.fullmatch(r'(\w+)(?:\[(\d+)\])?', part)
-        fields = message.get_fields_and_field_types() if message is not None else {}
-        if match is None or match[1] not in fields:
-            raise ValueError(f'expected fields out of {", ".join(fields) or "nothing further"}, '
-                             f'got {path!r}')
-        steps.append(match[1])
-        kind = fields[match[1]]
-        if match[2] is not None:
-            element = re.fullmatch(r'sequence<([^,>]+).*>|(.+)\[\d+\]', kind)
-            if element is None:
-                raise ValueError(f'expected an index after an array only, got {path!r}')
-            steps.append(int(match[2]))
-            kind = element[1] or element[2]
-        message = message_class(kind.replace('/', '/msg/')) if re.fullmatch(
-            r'\w+/\w+', kind) else None
-    if '/' in kind or 'string' in kind:
-        raise ValueError(f'expected the path of a number, got {path!r} ({kind})')
-    return tuple(steps)
 
 
 def fill_pose(message: PoseWithCovariance, mean: Array, covariance: Array,
@@ -238,59 +144,3 @@ def map_message(belief: GridBelief, stamp_ns: int, frame: str) -> OccupancyGrid:
 def _nearest(cells: int, stretch: float) -> NDArray[np.int64]:
     """Return which of some cells is shown in each cell of a finer axis."""
     return np.minimum((np.arange(round(cells * stretch)) + 0.5) / stretch, cells - 1).astype(int)
-
-
-def field_writer(message: Any, paths: Sequence[str],
-                 size: int) -> Callable[[Any, Sequence[float]], None]:
-    """
-    Return a function that puts so many numbers into a message of this class.
-
-    What a field_reader with the same paths reads of it then.  An array of any length holds what
-    the other paths leave.  Raises ValueError for paths that cannot hold just so many numbers.
-    """
-    places = [_path(message, path) for path in paths or ('data',)]
-    counts = [_room(message(), steps) for steps in places]
-    known = sum(count or 0 for count in counts)
-    if counts.count(None) > 1 or known > size or (None not in counts and known < size):
-        raise ValueError(f'expected fields that hold {size} numbers, got {list(paths)}')
-    ends = np.cumsum([size - known if count is None else count for count in counts]).tolist()
-
-    def write(msg: Any, values: Sequence[float]) -> None:
-        for steps, begin, end in zip(places, [0, *ends], ends):
-            _put(msg, steps, values[begin:end])
-
-    return write
-
-
-def _room(msg: Any, steps: Sequence[str | int]) -> int | None:
-    """Return how many numbers the place at the end of a path takes, None for any number."""
-    if any(isinstance(step, int) for step in steps[:-1]):
-        raise ValueError(f'expected an index at the end of a path only, got {list(steps)}')
-    found = msg
-    for step in steps:
-        if isinstance(step, int):
-            return 1
-        found = getattr(found, step)
-    if isinstance(found, (bool, bytes)):
-        raise ValueError(f'expected fields of real or whole numbers, got {list(steps)}')
-    return 1 if isinstance(found, (int, float)) else len(found) or None
-
-
-def _put(msg: Any, steps: Sequence[str | int], values: Sequence[float]) -> None:
-    """Write numbers to the end of a path, rounded where it takes whole ones only."""
-    names = [step for step in steps if isinstance(step, str)]
-    for name in names[:-1]:
-        msg = getattr(msg, name)
-    found = getattr(msg, names[-1])
-    if isinstance(found, (int, float)):
-        setattr(msg, names[-1], type(found)(round(values[0]) if isinstance(found, int)
-                                            else values[0]))
-        return
-    kind = found.dtype.char if hasattr(found, 'dtype') else found.typecode
-    numbers = [float(v) if kind in 'fd' else round(v) for v in values]
-    if isinstance(steps[-1], int):
-        kept = found.tolist()
-        kept += [type(numbers[0])(0)] * (steps[-1] + 1 - len(kept))
-        kept[steps[-1]] = numbers[0]
-        numbers = kept
-    setattr(msg, names[-1], numbers)

@@ -13,7 +13,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped
 import numpy as np
-from pif_ros import conversions, parameters
+from pif_ros import conversions, fields, parameters
 from pif_ros.config import (Config, ConfigError, ControlConfig, find_system, SourceConfig,
                             state_axes)
 from pif_ros.core.filters import NANOSECONDS
@@ -143,14 +143,14 @@ class Simulator(Node):
                 size: int) -> tuple[Any, Callable[[Any, Any], None]]:
         """Return the class of a message, and what puts so many numbers into its fields."""
         try:
-            message = conversions.message_class(config.type)
+            message = fields.message_class(config.type)
         except ValueError as error:
             raise ConfigError(f'{prefix}.type: {error}') from None
         try:
-            write = conversions.field_writer(message, config.fields, size)
+            write = fields.field_writer(message, config.fields, size)
         except ValueError as error:
             raise ConfigError(f'{prefix}.fields: {error}') from None
-        if self.settings.speed == 0.0 and not conversions.has_header(message):
+        if self.settings.speed == 0.0 and not fields.has_header(message):
             raise ConfigError('speed: expected one above 0 where messages bear no stamp '
                               f'({config.type}), got 0.0')
         return message, write
@@ -231,7 +231,7 @@ class Simulator(Node):
 
     def _stamped(self, message: Any, stamp_ns: int) -> Any:
         """Return a message with its stamp and frame, where it has room for them."""
-        if conversions.has_header(message):
+        if fields.has_header(message):
             message.header.stamp = conversions.stamp_from_ns(stamp_ns)
             message.header.frame_id = self.config.frame_id
         return message

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-from pif_ros import conversions
+from pif_ros import conversions, fields
 from pif_ros.accounts import SourceAccount
 from pif_ros.config import ConfigError, ControlConfig, SourceConfig
 from pif_ros.core.filters import NANOSECONDS
@@ -45,15 +45,16 @@ class Inlet:
         self.account = SourceAccount() if account is None else account
         self._size, self._max_ahead_ns = size, round(max_ahead * NANOSECONDS)
         try:
-            self.type = conversions.message_class(config.type)
+            self.type = fields.message_class(config.type)
         except ValueError as error:
             raise ConfigError(f'{prefix}.type: {error}') from None
         try:
-            self._read = conversions.field_reader(self.type, config.fields)
+            self._read = fields.field_reader(self.type, config.fields)
         except ValueError as error:
             raise ConfigError(f'{prefix}.fields: {error}') from None
-        self.is_stamped = conversions.has_header(self.type)
-        self._is_range = conversions.is_range(self.type, config.fields)
+        self._wrong = fields.doubter(self.type, config.fields)
+        self.is_stamped = fields.has_header(self.type)
+        self._is_range = fields.is_range(self.type, config.fields)
         self._newest: int | None = None
 
     def lost(self, number: int | None) -> int:
@@ -83,7 +84,9 @@ class Inlet:
             raise Refused('wrong length', f'expected {self._size} numbers, got {len(values)}')
         if not all(map(math.isfinite, values)):
             raise Refused('not finite', f'expected finite numbers, got {list(values)}')
-        if self._is_range and not conversions.in_range(msg):
+        if wrong := self._wrong(msg):
+            raise Refused('bad covariance', wrong)
+        if self._is_range and not fields.in_range(msg):
             raise Refused('out of range', f'expected a range from {msg.min_range:g} to '
                           f'{msg.max_range:g}, got {msg.range:g}')
         return self._stamp(msg, now_ns, arrived_ns), values
@@ -129,7 +132,7 @@ class ControlSource(Inlet):
         super().__init__('control', 'control', 'control', config, len(inputs), max_ahead, account)
         self._is_too_fast = is_too_fast
         try:
-            conversions.field_writer(self.type, config.fields, len(inputs))
+            fields.field_writer(self.type, config.fields, len(inputs))
         except ValueError as error:
             raise ConfigError(f'control.fields: {error} for {", ".join(inputs)}') from None
 

@@ -17,6 +17,7 @@ MS = SECOND // 1000
 FRAME = 'map'
 #: Reasons by which the node is to count what is no measurement.
 NO_CLOCK, NOT_FINITE, WRONG_LENGTH = 'no clock', 'not finite', 'wrong length'
+BAD_COVARIANCE = 'bad covariance'
 NO_STAMP, FUTURE = 'no stamp', 'from the future'
 OUT_OF_RANGE, TOO_FAST = 'out of range', 'too fast'
 
@@ -87,7 +88,11 @@ def message_of(chooser: Chooser, kind: Input, now_ns: int, newest_ns: int) -> Se
         if stamp_ns <= 0:
             wrong.add(NO_STAMP)
     if isinstance(message, PoseWithCovarianceStamped):
-        message.pose.covariance = [chooser.one_of(WILD) for _ in range(36)]
+        if chooser.rarely(4):
+            message.pose.covariance = [chooser.one_of(WILD) for _ in range(36)]
+        if not (all(map(math.isfinite, message.pose.covariance))
+                and all(v >= 0 for v in message.pose.covariance[::7])):
+            wrong.add(BAD_COVARIANCE)
     if len(values) < kind.size or (len(values) > kind.size and not kind.longer):
         wrong.add(WRONG_LENGTH)
     read = values[:kind.size]

@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
-from pif_ros import conversions
+from pif_ros import conversions, fields
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
 import pytest
@@ -69,7 +69,7 @@ def test_an_integer_of_numpy_is_a_stamp_too():
     ('std_msgs/msg/Float64MultiArray', Float64MultiArray), ('sensor_msgs/msg/Imu', Imu),
     ('geometry_msgs/msg/PoseWithCovarianceStamped', PoseWithCovarianceStamped)])
 def test_an_installed_message_type_is_found(name, kind):
-    assert conversions.message_class(name) is kind
+    assert fields.message_class(name) is kind
 
 
 @pytest.mark.parametrize('name', [
@@ -80,15 +80,15 @@ def test_an_installed_message_type_is_found(name, kind):
     'geometry_msgs/msg/Metaclass_Point'])
 def test_what_is_no_installed_message_type_is_refused_and_named(name):
     with pytest.raises(ValueError) as refused:
-        conversions.message_class(name)
+        fields.message_class(name)
     assert str(refused.value).startswith('expected ')
     assert str(refused.value).endswith(f', got {name!r}')
 
 
 def test_a_header_is_seen_only_where_it_is_one():
-    assert conversions.has_header(LaserScan)
-    assert not conversions.has_header(Float64MultiArray)
-    assert not conversions.has_header(Header)
+    assert fields.has_header(LaserScan)
+    assert not fields.has_header(Float64MultiArray)
+    assert not fields.has_header(Header)
 
 
 # Fields
@@ -130,7 +130,7 @@ def covariant():
     (ByteMultiArray(data=[b'\x07', b'9']), ['data[1]'], (57.0,)),
 ], ids=lambda value: str(value)[:40] if isinstance(value, list) else None)
 def test_fields_are_read_in_the_order_of_their_paths(message, paths, values):
-    found = conversions.field_reader(type(message), paths)(sent(message))
+    found = fields.field_reader(type(message), paths)(sent(message))
     assert found == values
     assert all(type(value) is float for value in found)
 
@@ -147,12 +147,12 @@ def test_fields_are_read_in_the_order_of_their_paths(message, paths, values):
 ], ids=lambda value: value if isinstance(value, str) else '')
 def test_a_path_that_is_no_number_is_refused_when_the_node_starts(kind, path):
     with pytest.raises(ValueError, match='expected ') as refused:
-        conversions.field_reader(type(kind()), [path])
+        fields.field_reader(type(kind()), [path])
     assert f'got {path!r}' in str(refused.value)
 
 
 def test_an_index_beyond_an_array_is_the_message_s_fault():
-    read = conversions.field_reader(JointState, ['position[1]'])
+    read = fields.field_reader(JointState, ['position[1]'])
     with pytest.raises(IndexError):
         read(JointState(position=[1.0]))
 

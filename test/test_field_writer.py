@@ -1,7 +1,7 @@
 """Numbers into messages: what a field_reader reads of them then."""
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from pif_ros.conversions import field_reader, field_writer, message_class
+from pif_ros.fields import field_reader, field_writer, message_class
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 

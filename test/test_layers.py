@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: From the ground up: a module imports from lower lines only.  The entry points of TOP stand above
 #: all of it, and nothing imports them but each other.
 LAYERS = [
-    ['', 'core', 'core.compiler', 'share', 'process'],
+    ['', 'core', 'core.compiler', 'fields', 'share', 'process'],
     ['core.grid', 'core.posterior'],
     ['core.modes'],
     ['core.belief'],
@@ -84,8 +84,8 @@ OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'}
 
 #: Who may speak to rclpy, and who of them handles messages.
 SPEAKS_ROS = {'parameters', 'outputs', 'mode_outputs', 'filter_node', 'filter_bank', 'node',
-              'interface', 'conversions', 'mode_messages', 'health', 'listener', 'resuming', 'start',
-              'timekeeper', 'simulate', 'simulation_node',
+              'interface', 'conversions', 'mode_messages', 'health', 'listener', 'resuming',
+              'start', 'timekeeper', 'simulate', 'simulation_node',
               'plaza.player', 'plaza.player_node', 'plaza.recorder', 'plaza.demonstration'}
 HANDLES_MESSAGES = {'conversions', 'mode_messages', 'interface', 'filter_node', 'simulation_node',
                     'resuming', 'start',

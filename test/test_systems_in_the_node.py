@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from pif_ros import conversions
+from pif_ros import fields
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.systems import SYSTEMS
 from pif_ros.core.tracker import Measurement
@@ -29,7 +29,7 @@ def changes(path: Path) -> dict[str, Any]:
     config = Config.from_yaml(path)
     changed: dict[str, Any] = {'use_sim_time': True, 'publish.rate': 0.0}
     for name, source in config.measurements.sources.items():
-        if not conversions.has_header(conversions.message_class(source.type)):
+        if not fields.has_header(fields.message_class(source.type)):
             changed[f'measurements.{name}.type'] = 'sensor_msgs/msg/JointState'
             changed[f'measurements.{name}.fields'] = ['position']
     if path.stem in COARSE:
@@ -44,7 +44,7 @@ def heard(player: Simulator, outlet: Outlet, k: int) -> list[Measurement]:
         write(message, player.scenario.measurements[source][k])
     message = deserialize_message(serialize_message(message), outlet.type)
     stamp_ns = BEGIN_NS + int(player.scenario.elapsed_ns[k])
-    return [Measurement(stamp_ns, source, conversions.field_reader(
+    return [Measurement(stamp_ns, source, fields.field_reader(
         outlet.type, player.config.measurements.sources[source].fields)(message))
         for source in outlet.writers]
 

@@ -1,0 +1,51 @@
+"""Whether a message says of itself that its numbers are worth nothing."""
+
+from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
+from pif_ros.fields import doubter
+import pytest
+from sensor_msgs.msg import Imu, JointState, NavSatFix
+
+POSE = ['pose.pose.position.x', 'pose.pose.position.y']
+
+
+@pytest.mark.parametrize('made, paths, field', [
+    (PoseWithCovarianceStamped, POSE, 'pose.covariance'),
+    (Imu, ['angular_velocity.z'], 'angular_velocity_covariance'),
+    (Imu, ['linear_acceleration.x'], 'linear_acceleration_covariance'),
+    (NavSatFix, ['latitude', 'longitude'], 'position_covariance')])
+@pytest.mark.parametrize('bad', [float('nan'), float('inf'), -1.0])
+def test_a_covariance_that_is_none_is_told_by_its_place(made, paths, field, bad):
+    wrong, message = doubter(made, paths), made()
+    assert wrong(message) == ''
+    holder, *_, name = [message, *field.split('.')]
+    for part in field.split('.')[:-1]:
+        holder = getattr(holder, part)
+    getattr(holder, name)[0] = bad
+    assert wrong(message).startswith(f'{field}: expected finite numbers and no variance below 0')
+
+
+@pytest.mark.parametrize('index, bad', [(7, -0.1), (35, float('nan')), (1, float('inf'))])
+def test_every_variance_counts_and_of_the_rest_that_it_is_a_number(index, bad):
+    wrong, message = doubter(PoseWithCovarianceStamped, POSE), PoseWithCovarianceStamped()
+    message.pose.covariance[1] = message.pose.covariance[6] = -0.5
+    assert wrong(message) == ''
+    message.pose.covariance[index] = bad
+    assert wrong(message)
+
+
+@pytest.mark.parametrize('made, paths', [
+    (PointStamped, ['point.x']), (JointState, ['position']), (Imu, ['orientation_covariance']),
+    (PoseWithCovarianceStamped, ['pose.covariance[7]'])])
+def test_what_has_no_covariance_or_is_one_is_not_doubted(made, paths):
+    message = made()
+    if made is Imu:
+        message.orientation_covariance[0] = -1.0
+    if made is PoseWithCovarianceStamped:
+        message.pose.covariance[0] = -1.0
+    assert doubter(made, paths)(message) == ''
+
+
+def test_the_covariance_of_another_part_of_the_message_does_not_matter():
+    message = Imu()
+    message.orientation_covariance[0] = -1.0
+    assert doubter(Imu, ['angular_velocity.z'])(message) == ''
