@@ -12,7 +12,7 @@ import time
 from geometry_msgs.msg import PoseWithCovarianceStamped
 import libfaketime
 import numpy as np
-from ros import DEEP, executable, Executable, Graph, nanoseconds, PLANE, SECOND, write_parameters
+from ros import DEEP, Executable, executable, Graph, nanoseconds, PLANE, SECOND, write_parameters
 from std_msgs.msg import Float64MultiArray
 
 #: By how many seconds the clock is set, one after the other.

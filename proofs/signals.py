@@ -11,7 +11,7 @@ import time
 from benchmarks.progress import Progress
 from geometry_msgs.msg import PointStamped
 import numpy as np
-from ros import DEEP, executable, Executable, Graph, PLANE, stamp_into, write_parameters
+from ros import DEEP, Executable, executable, Graph, PLANE, stamp_into, write_parameters
 
 SIGNALS = 200
 SEED = 17

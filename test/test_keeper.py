@@ -154,7 +154,7 @@ def test_the_end_saves_what_is_new(file):
 def test_a_refused_file_is_left_where_it_is_and_moved_aside_only_when_another_is_saved(file):
     file.write_bytes(b'precious')
     one, aside = Kept(file), file.with_name('state.refused')
-    assert one.refusal(one.load).startswith("state_file: expected 56 to ")
+    assert one.refusal(one.load).startswith('state_file: expected 56 to ')
     assert file.read_bytes() == b'precious' and not aside.exists()
     one.keeper.save(0)
     assert aside.read_bytes() == b'precious'

@@ -2,9 +2,8 @@
 
 import numpy as np
 from pif_ros.plaza.recording import load
-import pytest
-
 from proofs.kidnap import _kidnaps, _moved, FOUND, GATED, OPEN, OURS, SAID, SCALE, SYSTEMS
+import pytest
 
 
 @pytest.mark.parametrize('name', SYSTEMS)

@@ -74,8 +74,8 @@ def test_the_order_of_layouts_is_that_of_choice_and_names_decide(file):
     ({**OF, 'sigma': 0.3}, 'sigma: expected 0.3 as it is now, got a state with '
                            '0.30000000000000004'),
     ({**OF, 'more': 1}, 'more: expected 1 as it is now, got a state with none'),
-    ({k: v for k, v in OF.items() if k != 'deep'}, "deep: expected none as it is now, got a state "
-                                                   "with {'on': True}")])
+    ({k: v for k, v in OF.items() if k != 'deep'},
+     "deep: expected none as it is now, got a state with {'on': True}")])
 def test_a_state_of_another_filter_is_refused_with_what_differs(file, of, words):
     assert refusal(file, of) == words
 

@@ -72,7 +72,7 @@ def test_the_sums_always_hold_and_in_the_end_what_is_gated_is_that_of_arrival_in
             check_sums(inbox, sources)
     settle(inbox)
     check_sums(inbox, sources)
-    ordered = {name: 0 for name in sources}
+    ordered = dict.fromkeys(sources, 0)
     TRACKER.reset()
     for measurement in sorted(seen):
         TRACKER.observe(measurement)
