@@ -139,7 +139,7 @@ def _commands() -> dict[str, list[str]]:
     node = ['pif_ros.node', '--ros-args', '--params-file', str(share.find(CONFIG)), *QUIET]
     return {ECHO: ['benchmarks.echo', '--ros-args'],
             'filter_node': node,
-            'filter_node, cells not averaged': [*node, '-p', 'filter.average_cells:=false']}
+            'filter_node, not watched': [*node, '-p', 'lost.false_alarm_rate:=0.0']}
 
 
 def _row(name: str, setting: str, samples: Samples, echo: Samples) -> Row:

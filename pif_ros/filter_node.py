@@ -141,6 +141,11 @@ class FilterNode(LifecycleNode):
             self.drain()
             self._resuming.finish()
 
+    def destroy_node(self) -> None:
+        """Let go of the node, and of its state machine, which keeps it on the graph otherwise."""
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()
+
     def _release(self) -> None:
         self.finish()
         self._is_active = False
