@@ -32,6 +32,13 @@ class SourceAccount:
         self.rejected[reason] += 1
         self.traffic.refuse()
 
+    def judge_anew(self, reason: str, refused: bool) -> None:
+        """Count one that was accepted as rejected, or one rejected for that as accepted."""
+        step = 1 if refused else -1
+        self.accepted -= step
+        self.rejected[reason] += step
+        self.traffic.judge_anew(refused)
+
     def drop(self) -> None:
         """Count a message that waited too long."""
         self.dropped += 1

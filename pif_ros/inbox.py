@@ -98,8 +98,7 @@ class Inbox:
         except CorrectionFailed as failed:
             account = self._account_of(failed.measurement)
             self._verdicts.accept(failed.measurement)
-            account.accepted -= 1
-            account.reject('fault')
+            account.judge_anew('fault', refused=True)
             self._unjudged.discard(failed.measurement)
             raise
         finally:

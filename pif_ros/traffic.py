@@ -52,6 +52,14 @@ class Traffic:
         """Take note of messages that were not taken, or never came."""
         self._refused.extend([1.0] * min(count, LAST))
 
+    def judge_anew(self, refused: bool) -> None:
+        """Take note that one of them was taken before, and is not now, or the other way round."""
+        was, now = (0.0, 1.0) if refused else (1.0, 0.0)
+        if was in self._refused:
+            # which one does not matter to their share
+            self._refused.remove(was)
+            self._refused.append(now)
+
     def restart(self) -> None:
         """Forget all that another clock has told."""
         self.skew = self.newest_ns = self.heard_ns = None

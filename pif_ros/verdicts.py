@@ -35,9 +35,7 @@ class Verdicts:
         """Count a measurement as accepted, whatever was said of it before."""
         if measurement in self._gated:
             self._gated.remove(measurement)
-            account = self._accounts[measurement.source]
-            account.accepted += 1
-            account.rejected[GATE] -= 1
+            self._accounts[measurement.source].judge_anew(GATE, refused=False)
 
     def forget(self, before_ns: int | None = None) -> None:
         """Let the verdicts before a stamp stand, all where none is given; none comes again."""
@@ -50,6 +48,4 @@ class Verdicts:
     def _reject(self, measurement: Measurement) -> None:
         if measurement not in self._gated:
             self._gated.add(measurement)
-            account = self._accounts[measurement.source]
-            account.accepted -= 1
-            account.reject(GATE)
+            self._accounts[measurement.source].judge_anew(GATE, refused=True)

@@ -41,6 +41,20 @@ def test_what_was_lost_counts_as_refused_and_is_forgotten_in_time():
     assert traffic.refused == 0.5
 
 
+def test_a_verdict_that_changes_moves_one_message_and_counts_none_twice():
+    traffic = Traffic()
+    for _ in range(10):
+        traffic.accept(1)
+    traffic.judge_anew(refused=True)
+    traffic.judge_anew(refused=True)
+    assert traffic.refused == pytest.approx(0.2)
+    traffic.judge_anew(refused=False)
+    assert traffic.refused == pytest.approx(0.1)
+    for _ in range(3):
+        traffic.judge_anew(refused=False)
+    assert traffic.refused == 0.0
+
+
 def test_the_age_is_that_of_the_newest_stamp_however_they_came():
     traffic = Traffic()
     assert traffic.age(SECOND) is None
