@@ -247,6 +247,8 @@ class FilterNode(LifecycleNode):
             if estimate is not None:
                 self._publish(estimate)
         self._took = time.monotonic() - began
+        with self.watch.timing('watch'):
+            self.tracker.look()
         was_lost, self._lost = self._lost, self.tracker.newest.watch.lost
         if self._lost and not was_lost:
             self.report('lost', 'lost: the measurements contradict what was believed')

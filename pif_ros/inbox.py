@@ -91,7 +91,8 @@ class Inbox:
             return None
         began = time.monotonic()
         try:
-            estimate = self._tracker.estimate(at_most=min(self.slice, self._in_turn))
+            estimate = self._tracker.estimate(at_most=min(self.slice, self._in_turn),
+                                              look=False)
             # what one took, its prediction included, the next ones will take
             took = (time.monotonic() - began) / len(self._tracker.corrections)
             self._in_turn = max(1, int(TURN / max(took, 1e-6)))

@@ -106,7 +106,7 @@ def test_one_at_which_a_sensor_raises_in_a_replay_is_a_fault_and_no_longer_gated
     healthy = TRACKER.guard
 
     class Moody:
-        recovery = healthy.recovery
+        recovery, only_watches = healthy.recovery, healthy.only_watches
 
         def correct(self, filter_, predicted, y, source, at_ns, watch):
             if source == 'far':

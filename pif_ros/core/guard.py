@@ -117,12 +117,29 @@ class Guard:
             raise ValueError('recovery: expected one where there is a gate, which locks the '
                              'filter out otherwise')
 
+    def only_watches(self, source: str) -> bool:
+        """Return whether a source's measurements are watched, but the watch moves no belief."""
+        return (self.alarm is not None and not self.gates.get(source, OPEN).tail_probability
+                and not (self.recovery is not None and self.recovery.when_lost))
+
+    def watched(self, filter_: Filter[Belief], predicted: Belief, y: tuple[float, ...],
+                source: str, at_ns: int, watch: Watch) -> Watch:
+        """Return the watch after a measurement of a source that is only watched."""
+        assert self.alarm is not None
+        expected = cast(Expecting[Belief], filter_).predictive(predicted, source, at_ns)
+        tail = self.gates.get(source, OPEN).tail(expected, y)
+        return self.alarm.after(watch, tail).counted(source, 0)
+
     def correct(self, filter_: Filter[Belief], predicted: Belief, y: tuple[float, ...],
-                source: str, at_ns: int, watch: Watch) -> Outcome[Belief]:
-        """Return what becomes of a predicted belief at a measurement."""
+                source: str, at_ns: int, watch: Watch | None) -> Outcome[Belief]:
+        """
+        Return what becomes of a predicted belief at a measurement.
+
+        watch: None for a source that is only watched, to look later.
+        """
         gate = self.gates.get(source, OPEN)
-        if self.alarm is None and not gate.tail_probability:
-            return Outcome(*_robust(filter_, predicted, y, source, at_ns, gate), watch)
+        if watch is None or self.alarm is None and not gate.tail_probability:
+            return Outcome(*_robust(filter_, predicted, y, source, at_ns, gate), watch or Watch())
         asked = cast(Expecting[Belief], filter_)
         expected = asked.predictive(predicted, source, at_ns)
         tail = gate.tail(expected, y)

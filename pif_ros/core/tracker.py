@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 import math
 from typing import Any, Generic
@@ -141,6 +141,8 @@ class Tracker(Generic[Belief]):
         self._timeline: list[Measurement] = []
         self._posteriors: list[Estimate[Belief]] = []
         self.corrections: list[Correction] = []
+        # what was predicted where the newest corrections were made, whose watch is to come
+        self._unwatched: list[tuple[Belief, Measurement]] = []
         self._largest = 0
         self._rung: tuple[Estimate[Belief], int, Belief] | None = None
         self._steered: list[tuple[int, tuple[float, ...]]] = []
@@ -148,6 +150,7 @@ class Tracker(Generic[Belief]):
 
     def memory(self) -> Memory[Belief]:
         """Return what decides the future, at the cost of a list: no belief is copied."""
+        self.look()
         return Memory(self._anchor, self._anchored, tuple(self._timeline), tuple(self._steered))
 
     def recall(self, memory: Memory[Belief]) -> None:
@@ -198,7 +201,7 @@ class Tracker(Generic[Belief]):
         if self._timeline[place:place + 1] == [measurement]:
             return Rejection.DUPLICATE
         self._timeline.insert(place, measurement)
-        del self._posteriors[place:]
+        self._undo(place)
         return None
 
     def control(self, stamp_ns: int, values: Sequence[float]) -> Rejection | None:
@@ -227,28 +230,33 @@ class Tracker(Generic[Belief]):
         self._steered[place:place + same] = [(stamp_ns, value)]
         self._controls = None
         # a posterior at the stamp itself was not moved by what holds from there on
-        del self._posteriors[bisect.bisect_right(
-            self._posteriors, stamp_ns, key=lambda e: e.stamp_ns or 0):]
+        self._undo(bisect.bisect_right(
+            self._posteriors, stamp_ns, key=lambda e: e.stamp_ns or 0))
         self._cut_rung(stamp_ns)
         self._forget_controls()
         return None
 
-    def estimate(self, at_most: int | None = None) -> Estimate[Belief]:
+    def estimate(self, at_most: int | None = None, look: bool = True) -> Estimate[Belief]:
         """
         Return the belief after the newest measurement; the prior where there is none.
 
-        With at_most, so many corrections are made and the rest stays as backlog.  What was
-        corrected now is left in corrections.  Raises CorrectionFailed for
-        a measurement at which the model or the sensor raised; it is not remembered.
+        With at_most, so many corrections are made and the rest stays as backlog; without look, the
+        watch that moves no belief is left to look().  What was corrected now is left in
+        corrections.  Raises CorrectionFailed for a measurement at which the model or the sensor
+        raised; it is not remembered.
         """
         done = len(self._posteriors)
         self.corrections = []
         for measurement in self._timeline[done:None if at_most is None else done + at_most]:
+            later = not look and self.guard.only_watches(measurement.source)
+            if not later:
+                self.look()
             before = self.newest
             try:
                 predicted = self._carried(before, measurement.stamp_ns)
-                made = self.guard.correct(self.filter, predicted, measurement.values,
-                                          measurement.source, measurement.stamp_ns, before.watch)
+                made = self.guard.correct(
+                    self.filter, predicted, measurement.values, measurement.source,
+                    measurement.stamp_ns, None if later else before.watch)
                 log_peak = self.filter.log_peak(
                     predicted, measurement.source, measurement.stamp_ns)
             except Exception as error:  # noqa: B902  models and sensors are others' code
@@ -257,14 +265,27 @@ class Tracker(Generic[Belief]):
             # what no state allows, or is gated, is not believed, and says nothing of what is
             used = made.log_evidence > -math.inf and not made.gated
             self._largest = max(self._largest, made.belief.nbytes)
+            if later:
+                self._unwatched.append((predicted, measurement))
             self._posteriors.append(Estimate(
                 measurement.stamp_ns, made.belief, made.log_evidence,
-                before.total_log_evidence + (made.log_evidence if used else 0.0), made.watch))
+                before.total_log_evidence + (made.log_evidence if used else 0.0),
+                before.watch if later else made.watch))
             self.corrections.append(Correction(measurement, made.log_evidence, log_peak, made.tail,
                                                made.gated, made.recovered))
         newest = self.newest
         self._forget()
         return newest
+
+    def look(self) -> None:
+        """Bring the watch up to the newest correction: what that costs delays no estimate."""
+        while self._unwatched:
+            place = len(self._posteriors) - len(self._unwatched)
+            predicted, measurement = self._unwatched.pop(0)
+            before = self._posteriors[place - 1] if place else self._anchor
+            watch = self.guard.watched(self.filter, predicted, measurement.values,
+                                       measurement.source, measurement.stamp_ns, before.watch)
+            self._posteriors[place] = replace(self._posteriors[place], watch=watch)
 
     def forecast(self, stamp_ns: int) -> Estimate[Belief]:
         """Return what is believed of a later moment; commits to nothing."""
@@ -297,6 +318,12 @@ class Tracker(Generic[Belief]):
         if self._rung is not None and self._rung[0] is before and self._rung[1] <= steps:
             _, known, belief = self._rung
         return belief, before.stamp_ns + known * step, before.stamp_ns + steps * step
+
+    def _undo(self, place: int) -> None:
+        """Forget the corrections from a place in the timeline on, which are to be made anew."""
+        done = len(self._posteriors) - len(self._unwatched)
+        del self._posteriors[place:]
+        del self._unwatched[max(place - done, 0):]
 
     def _cut_rung(self, stamp_ns: int) -> None:
         """Forget the steps of an earlier forecast where they go beyond a stamp."""
@@ -344,6 +371,7 @@ class Tracker(Generic[Belief]):
         count = bisect.bisect_left(self._timeline, oldest, key=lambda m: m.stamp_ns)
         count = min(max(count, self._beyond_memory()), len(self._posteriors))
         if count > 0:
+            self.look()
             self._anchor, self._anchored = self._posteriors[count - 1], self._timeline[count - 1]
             del self._timeline[:count], self._posteriors[:count]
             self._forget_controls()

@@ -57,6 +57,39 @@ def told(tracker):
             estimate.log_evidence, estimate.total_log_evidence)
 
 
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_whoever_looks_later_comes_to_the_same_watch_whatever_is_late(seed):
+    rng, guard = np.random.default_rng(seed), Guard(alarm=Alarm(1e-3))
+    at_once, later = (Tracker(DF, DF.gaussian([0.5], [[0.4]]), 0.3, guard=guard) for _ in range(2))
+    for k in range(25):
+        stamp = (k - int(rng.integers(0, 5)) * int(rng.integers(0, 2))) * SECOND // 20 + k
+        y = float(rng.choice([0.2, -0.1, 3.0]))
+        for tracker in (at_once, later):
+            tracker.observe(Measurement(stamp, 'place', (y,)))
+        at_once.estimate()
+        if rng.random() < 0.7:
+            later.estimate(at_most=int(rng.integers(1, 4)), look=False)
+        if rng.random() < 0.4:
+            later.look()
+    assert later.estimate(look=False).belief.density.tobytes() == (
+        at_once.estimate().belief.density.tobytes())
+    later.look()
+    assert told(later) == told(at_once)
+    assert later.memory().anchor.watch == at_once.memory().anchor.watch
+
+
+def test_what_a_gate_or_a_recovery_needs_is_looked_at_at_once():
+    guard = guard_of(DF, when_lost=True)
+    at_once, later = tracker_of(DF, guard), tracker_of(DF, guard)
+    for k, y in enumerate([0.2, 9.0, 9.0, 9.0, 9.0, 0.1]):
+        for tracker in (at_once, later):
+            tracker.observe(Measurement(k * SECOND // 20, 'place', (y,)))
+        at_once.estimate()
+        later.estimate(look=False)
+    assert told(later) == told(at_once)
+
+
 def test_without_a_guard_it_is_the_filters_own_correct():
     y, prior = (0.7,), DF.gaussian([0.5], [[0.4]])
     made = Guard().correct(DF, prior, y, 'place', 0, None)
