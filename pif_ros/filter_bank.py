@@ -13,8 +13,8 @@ from pif_ros import parameters
 from pif_ros.accounts import Throttle
 from pif_ros.config import ConfigError, FilterOfMany
 from pif_ros.core.bank import Bank, Member
+from pif_ros.core.estimates import Estimate
 from pif_ros.core.filters import NANOSECONDS
-from pif_ros.core.tracker import Estimate
 from pif_ros.filter_node import FilterNode, FORECASTS_TAKE
 from pif_ros.inbox import SLICE
 from pif_ros.process import guarded

@@ -15,8 +15,9 @@ from pif_ros.accounts import Accounts, Throttle
 from pif_ros.config import build_tracker, Config, ConfigError, describe, find_grid, find_system
 from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.continuous import PathBelief
+from pif_ros.core.estimates import Estimate, Memory
 from pif_ros.core.filters import NANOSECONDS
-from pif_ros.core.tracker import Estimate, Memory, Tracker
+from pif_ros.core.tracker import Tracker
 from pif_ros.diagnostics import Facts
 from pif_ros.health import Health
 from pif_ros.inbox import Inbox

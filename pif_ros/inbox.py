@@ -10,8 +10,9 @@ from typing import Any
 
 from pif_ros.accounts import Accounts, SourceAccount
 from pif_ros.config import Config
+from pif_ros.core.estimates import CorrectionFailed, Estimate, Measurement, Memory
 from pif_ros.core.filters import NANOSECONDS
-from pif_ros.core.tracker import CorrectionFailed, Estimate, Measurement, Memory, Tracker
+from pif_ros.core.tracker import Tracker
 from pif_ros.sources import Control, Inlet
 from pif_ros.verdicts import Verdicts
 

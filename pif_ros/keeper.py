@@ -13,9 +13,10 @@ import numpy as np
 from pif_ros import state_file
 from pif_ros.config import Config, ConfigError, find_grid, identity
 from pif_ros.core.controls import carries_across, NO_CONTROLS
+from pif_ros.core.estimates import Memory
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.saved import Arrays, arrays_of, Form, Forms, forms_of, memory_from
-from pif_ros.core.tracker import Memory, Tracker
+from pif_ros.core.tracker import Tracker
 from pif_ros.state_file import StateRefused
 
 #: What a save or a load may meet; no more than a line comes of it.

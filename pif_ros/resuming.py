@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from pif_ros import interface
-from pif_ros.core.tracker import Memory
+from pif_ros.core.estimates import Memory
 from pif_ros.keeper import FAILURES, Keeper
 from pif_ros.process import guarded
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump

@@ -10,9 +10,9 @@ from typing import Any
 from pif_ros import conversions, fields
 from pif_ros.accounts import SourceAccount
 from pif_ros.config import ConfigError, ControlConfig, SourceConfig
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.models import Sensor
-from pif_ros.core.tracker import Measurement
 
 
 class Refused(ValueError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pif_ros.accounts import SourceAccount
-from pif_ros.core.tracker import Correction, Measurement
+from pif_ros.core.estimates import Correction, Measurement
 
 GATE = 'gate'
 #: So many are kept, at least, before those are looked for that no replay can reach.

@@ -13,7 +13,7 @@ from typing import Any
 from geometry_msgs.msg import PoseWithCovarianceStamped, TwistStamped
 import numpy as np
 from pif_ros.config import build_tracker, Config
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 from proofs.inputs import YARD
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically

@@ -17,8 +17,8 @@ from pathlib import Path
 from benchmarks.progress import Progress
 import numpy as np
 from pif_ros.config import build_tracker, Config
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.simulation import measure
-from pif_ros.core.tracker import Measurement
 from proofs import ROOT
 from proofs.inputs import YARD
 from ros import PLANE, SECOND

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from pif_ros import state_file
 from pif_ros.config import build_tracker, Config, identity
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 from pif_ros.keeper import FAILURES, Keeper, PUBLISHED
 
 SECOND = 1_000_000_000

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pif_ros.config import build_tracker, Config
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.guard import Guard
 from pif_ros.core.lost import Alarm
 from pif_ros.core.simulation import measure, simulate
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 
 #: Measurements in all, and the share of alarms that is to be stayed below.
 COUNT, WANTED = 100_000, 1e-4

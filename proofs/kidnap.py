@@ -21,12 +21,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pif_ros.config import build_tracker, Config
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.grid import Grid
 from pif_ros.core.guard import Gate, Guard, Recovery
 from pif_ros.core.lost import Alarm, verdict
 from pif_ros.core.rivals import ExtendedKalmanFilter
 from pif_ros.core.simulation import measure, simulate
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 from pif_ros.plaza.baseline import played
 from pif_ros.plaza.recording import load, Recording
 from pif_ros.plaza.schedule import Span

@@ -8,7 +8,8 @@ from typing import Any
 from benchmarks.progress import Progress
 import numpy as np
 from pif_ros.config import build_tracker, Config
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.estimates import Measurement
+from pif_ros.core.tracker import Tracker
 from proofs.inputs import YARD
 from proofs.invariants import check_belief, check_same
 from ros import PLANE, SECOND

@@ -13,7 +13,7 @@ import warnings
 from geometry_msgs.msg import PoseWithCovarianceStamped
 import numpy as np
 from pif_ros.config import build_tracker, Config
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 from proofs import events, invariants
 from proofs.inputs import BESIDE, Input, INPUTS
 from rclpy.clock import ClockType

@@ -12,7 +12,7 @@ from benchmarks.progress import Progress
 from geometry_msgs.msg import PoseWithCovarianceStamped
 import numpy as np
 from pif_ros.config import build_tracker, Config
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 from proofs import invariants
 from proofs.attacker import PARAMETERS, TOPICS
 from proofs.inputs import INPUTS

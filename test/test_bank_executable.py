@@ -5,7 +5,7 @@ import signal
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from pif_ros.config import build_tracker, Config
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 import pytest
 from ros import DEEP, executable, nanoseconds, SECOND, stamp_into, write_parameters
 from sensor_msgs.msg import JointState

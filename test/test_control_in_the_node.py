@@ -7,7 +7,7 @@ from geometry_msgs.msg import PointStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 import numpy as np
 from pif_ros.config import build_tracker, Config, ConfigError
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 import pytest
 from ros import DEEP, nanoseconds, Rig, SECOND, stamp_into
 from sensor_msgs.msg import JointState

@@ -8,13 +8,14 @@ from pif_ros.accounts import Accounts, SourceAccount
 from pif_ros.config import DiagnosticsConfig
 from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.lost import Alarm
 from pif_ros.core.systems import position_2d
 from pif_ros.core.systems.robots import position_sensor
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 from pif_ros.diagnostics import ERROR, Facts, OK, statuses, WARN
 import pytest
 

@@ -7,7 +7,7 @@ from nav_msgs.msg import OccupancyGrid
 import numpy as np
 from numpy.testing import assert_allclose
 from pif_ros.config import build_tracker, Config
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros import nanoseconds, Rig, SECOND, stamp_into

@@ -5,7 +5,8 @@ import numpy as np
 from pif_ros import interface
 from pif_ros.config import build_tracker, Config, ConfigError
 from pif_ros.core.batch import Batch
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.estimates import Measurement
+from pif_ros.core.tracker import Tracker
 from pif_ros.filter_bank import FilterBank
 import pytest
 from ros import DEEP, nanoseconds, PLANE, SECOND, stamp_into, write_parameters

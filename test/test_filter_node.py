@@ -11,11 +11,12 @@ from numpy.testing import assert_allclose
 from pif_ros import conversions, interface, timekeeper
 from pif_ros.config import build_tracker, Config, specifications
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.systems import position_2d, position_sensor
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 import pytest
 from rcl_interfaces.msg import Log
 from rcl_interfaces.msg import Parameter as ParameterMessage

@@ -3,7 +3,7 @@
 from geometry_msgs.msg import PointStamped
 from numpy.testing import assert_allclose
 from pif_ros.config import build_tracker, Config
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 from ros import PLANE, Rig, SECOND, stamp_into
 
 T, MS = 1_000 * SECOND, 1_000_000

@@ -4,7 +4,7 @@ import threading
 
 from pif_ros import state_file
 from pif_ros.config import build_tracker, Config, ConfigError, identity, specifications
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 from pif_ros.keeper import FAILURES, Keeper
 import pytest
 

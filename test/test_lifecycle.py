@@ -5,7 +5,7 @@ import time
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from pif_ros.config import ConfigError
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 import pytest
 from ros import PLANE, Rig
 from test_filter_node import belief, check_same, fix, follow, library, MS, T, track

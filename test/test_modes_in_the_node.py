@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from pif_ros import mode_outputs
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.belief import GridBelief
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 from pif_ros.mode_outputs import estimate
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue

@@ -3,8 +3,8 @@
 from geometry_msgs.msg import PointStamped
 import numpy as np
 from pif_ros.config import ConfigError, ControlConfig, SourceConfig
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.models import Sensor
-from pif_ros.core.tracker import Measurement
 from pif_ros.sources import Control, ControlSource, Refused, Source
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message

@@ -7,7 +7,7 @@ import signal
 
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped, TwistStamped
 from pif_ros.config import build_tracker, Config, ConfigError
-from pif_ros.core.tracker import Measurement
+from pif_ros.core.estimates import Measurement
 from pif_ros.filter_bank import FilterBank
 from pif_ros.keeper import Keeper
 import pytest

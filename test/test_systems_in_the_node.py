@@ -5,8 +5,8 @@ from typing import Any
 
 from pif_ros import fields
 from pif_ros.config import build_tracker, Config
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.systems import SYSTEMS
-from pif_ros.core.tracker import Measurement
 from pif_ros.filter_node import FilterNode
 from pif_ros.scenario import BEGIN_NS
 from pif_ros.simulation_node import Outlet, Simulator

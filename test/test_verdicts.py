@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pif_ros.accounts import Accounts
 from pif_ros.config import build_tracker, Config
-from pif_ros.core.tracker import Correction, CorrectionFailed, Measurement
+from pif_ros.core.estimates import Correction, CorrectionFailed, Measurement
 from pif_ros.inbox import Inbox
 from pif_ros.verdicts import ROOM, Verdicts
 import pytest

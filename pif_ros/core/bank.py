@@ -10,8 +10,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pif_ros.core.batch import Batch, Span
+from pif_ros.core.estimates import Estimate, Measurement, Rejection
 from pif_ros.core.filters import DiracFeynmanFilter
-from pif_ros.core.tracker import Estimate, Measurement, Rejection, Tracker
+from pif_ros.core.tracker import Tracker
 
 
 class Member(Tracker[Any]):

@@ -10,9 +10,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.kernels import Operator
-from pif_ros.core.tracker import Measurement
 
 Array = NDArray[np.float64]
 

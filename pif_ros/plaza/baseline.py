@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.estimates import Measurement
+from pif_ros.core.tracker import Tracker
 from pif_ros.plaza.recording import Recording
 from pif_ros.plaza.report import Track
 from pif_ros.plaza.schedule import Span, steps

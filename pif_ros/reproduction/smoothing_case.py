@@ -9,13 +9,13 @@ from time import perf_counter
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.path_monte_carlo import PathPosterior, PathSample, sample, SamplerSettings
 from pif_ros.core.smoothing import smooth, Smoothed
-from pif_ros.core.tracker import Measurement
 from pif_ros.reproduction.filtering import error_scores
 from pif_ros.reproduction.records import Record
 from pif_ros.reproduction.study import Entry, Expected, Outcome

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.estimates import CorrectionFailed, Measurement
 from pif_ros.core.filters import Filter
 from pif_ros.core.grid import Grid
-from pif_ros.core.tracker import CorrectionFailed, Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 from pif_ros.reproduction.records import Record
 
 Array = NDArray[np.float64]

@@ -5,13 +5,14 @@ from hypothesis import strategies as st
 import numpy as np
 from pif_ros.core.bank import Bank, Member
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.models import Sensor
 from pif_ros.core.rivals import ExtendedKalmanFilter
 from pif_ros.core.systems import ornstein_uhlenbeck
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 import pytest
 
 SECOND = 1_000_000_000

@@ -4,11 +4,12 @@ import numpy as np
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.continuous import (DiracFeynmanYauFilter, ExtendedKalmanBucyFilter, PathBelief,
                                      SCHEMES)
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import dirac_feynman, KernelSettings
 from pif_ros.core.models import Sensor, StateModel
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 import pytest
 from scipy.special import logsumexp
 

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 import numpy as np
 from pif_ros.core.continuous import DiracFeynmanYauFilter, ExtendedKalmanBucyFilter
 from pif_ros.core.controls import carries_across, Controls, driven, NO_CONTROLS
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
@@ -15,7 +16,7 @@ from pif_ros.core.rivals import (ExtendedKalmanFilter, GaussianBelief, ParticleB
                                  ParticleFilter, UnscentedKalmanFilter)
 from pif_ros.core.simulation import simulate, simulate_inside
 from pif_ros.core.systems import ornstein_uhlenbeck, unicycle_2d
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 import pytest
 from scipy.integrate import solve_ivp
 

@@ -7,6 +7,7 @@ from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.bank import Bank, Member
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.clutter import Clutter
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.guard import Gate, Guard, Recovery
@@ -15,7 +16,7 @@ from pif_ros.core.lost import Alarm
 from pif_ros.core.models import Sensor
 from pif_ros.core.rivals import ExtendedKalmanFilter, ParticleFilter, UnscentedKalmanFilter
 from pif_ros.core.systems import ornstein_uhlenbeck
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 import pytest
 from scipy import stats
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from oracles import gaussian, linear_moments
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import (chosen_form, KernelSettings, OperatorSettings, split_kernel,
@@ -14,7 +15,7 @@ from pif_ros.core.scoring import l1_distance
 from pif_ros.core.smoothing import smooth
 from pif_ros.core.systems import (coupled_trigonometric, cubic_bearing, geometric_brownian_motion,
                                   ornstein_uhlenbeck, position_2d)
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 import pytest
 
 STEP = 10_000_000

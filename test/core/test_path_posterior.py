@@ -1,11 +1,11 @@
 """The density of a path, its gradient and its curvature."""
 
 import numpy as np
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.kernels import KernelSettings, log_transition_density
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.path_monte_carlo import PathPosterior
 from pif_ros.core.systems import coupled_trigonometric, geometric_brownian_motion
-from pif_ros.core.tracker import Measurement
 import pytest
 
 MS = 1_000_000

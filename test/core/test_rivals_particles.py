@@ -2,10 +2,12 @@
 
 import warnings
 
-from hypothesis import given, strategies as st
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 from oracles import gaussian, kalman
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
@@ -13,7 +15,7 @@ from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.rivals import ParticleBelief, ParticleFilter
 from pif_ros.core.rivals.cloud import systematic
 from pif_ros.core.systems import benes, ornstein_uhlenbeck, sine_cubic_drift, wiener
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 import pytest
 from scipy import stats
 

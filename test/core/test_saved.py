@@ -7,8 +7,9 @@ import numpy as np
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.bank import Member
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.estimates import Measurement, Rejection
 from pif_ros.core.saved import arrays_of, forms_of, memory_from
-from pif_ros.core.tracker import Measurement, Rejection, Tracker
+from pif_ros.core.tracker import Tracker
 import pytest
 
 SECOND = 1_000_000_000

@@ -5,12 +5,13 @@ import itertools
 import numpy as np
 from oracles import linear_moments
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings, OperatorSettings
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.smoothing import smooth
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 import pytest
 
 STEP = 100_000_000

@@ -4,13 +4,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.estimates import CorrectionFailed, Measurement, Rejection
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.models import Sensor
 from pif_ros.core.rivals import ExtendedKalmanFilter, GaussianBelief
 from pif_ros.core.systems import ornstein_uhlenbeck
-from pif_ros.core.tracker import CorrectionFailed, Measurement, Rejection, Tracker
+from pif_ros.core.tracker import Tracker
 import pytest
 
 SECOND = 1_000_000_000

@@ -5,9 +5,10 @@ from hypothesis import strategies as st
 import numpy as np
 from pif_ros.core import tracker as module
 from pif_ros.core.controls import Controls
+from pif_ros.core.estimates import Measurement, Rejection
 from pif_ros.core.rivals import ExtendedKalmanFilter
 from pif_ros.core.systems import ornstein_uhlenbeck, unicycle_2d
-from pif_ros.core.tracker import Measurement, Rejection, Tracker
+from pif_ros.core.tracker import Tracker
 import pytest
 
 SECOND = 1_000_000_000

@@ -5,9 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 from numpy.testing import assert_array_equal
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.rivals import ExtendedKalmanFilter
 from pif_ros.core.systems import position_2d, range_sensor, unicycle_2d
-from pif_ros.core.tracker import Measurement, Tracker
+from pif_ros.core.tracker import Tracker
 from pif_ros.plaza.baseline import estimates, played
 from pif_ros.plaza.recording import Recording
 from pif_ros.plaza.report import errors, Track

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.belief import check_covariance
+from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.kernels.formula import action, drift_terms
 from pif_ros.core.kernels.settings import KernelSettings
 from pif_ros.core.models import central_differences, Sensor, StateModel
 from pif_ros.core.smoothing import in_order
-from pif_ros.core.tracker import Measurement
 
 Array = NDArray[np.float64]
 Index = slice | NDArray[np.intp]

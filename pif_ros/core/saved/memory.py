@@ -8,11 +8,12 @@ import itertools
 from typing import Any
 
 import numpy as np
+from pif_ros.core.estimates import Estimate, Measurement, Memory
 from pif_ros.core.lost import Watch
 from pif_ros.core.saved.beliefs import (Array, Arrays, belief_arrays, belief_forms, belief_from,
                                         check, COMPONENTS, Form, Forms, MANY, optional, REAL,
                                         under, WHOLE, within)
-from pif_ros.core.tracker import Estimate, Measurement, Memory, MOST_CONTROLS, Tracker
+from pif_ros.core.tracker import MOST_CONTROLS, Tracker
 
 
 def arrays_of(tracker: Tracker[Any]) -> Arrays:
