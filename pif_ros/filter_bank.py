@@ -87,6 +87,10 @@ class Target(FilterNode):
         return tracker
 
     def _warm_up(self) -> None:
+        """Leave that until all targets are known to be right: it may take seconds."""
+
+    def warm_up(self) -> None:
+        """Do before the first measurement what need not be done at it, unless another did."""
         if not self._is_warm:
             super()._warm_up()
 
@@ -122,6 +126,8 @@ class FilterBank(Node):
             except ConfigError as error:
                 raise ConfigError(f'{place}/filter_node: {error}') from None
         self._check_own(given)
+        for target in self.targets.values():
+            target.warm_up()
         _check_files(self.targets)
         self._bank = Bank({name: node.tracker for name, node in self.targets.items()})
         self._start_timers()
