@@ -14,7 +14,7 @@ from rclpy.node import Node
 #: Whether it got worse is looked at no more often than this, in seconds.
 SELDOM = 0.2
 #: Finding the modes has this share of the time at most.
-TAKE = 0.05
+TAKE = 0.002
 
 
 class Health:
