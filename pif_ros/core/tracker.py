@@ -287,8 +287,9 @@ class Tracker(Generic[Belief]):
         oldest = self._timeline[-1].stamp_ns - self._history_ns
         count = bisect.bisect_left(self._timeline, oldest, key=lambda m: m.stamp_ns)
         count = min(max(count, self._beyond_memory()), len(self._posteriors))
-        if count > 0:
+        if count > len(self._posteriors) - len(self._unwatched):
             self.look()
+        if count > 0:
             self._anchor, self._anchored = self._posteriors[count - 1], self._timeline[count - 1]
             del self._timeline[:count], self._posteriors[:count]
             self._forget_controls()

@@ -319,3 +319,16 @@ def test_refuses_a_gate_that_nothing_opens_again_and_a_share_that_is_none():
         Guard({'place': Gate(0.01)})
     with pytest.raises(ValueError, match='^share: expected .*, got 0$'):
         Recovery(DF.uniform(), 0)
+
+
+def test_nobody_looks_before_he_is_asked_to_however_much_is_forgotten(monkeypatch):
+    tracker, looked = Tracker(DF, DF.gaussian([0.5], [[0.4]]), 0.2, guard=Guard(alarm=Alarm())), []
+    watched = Guard.watched
+    monkeypatch.setattr(Guard, 'watched', lambda *given: (looked.append(1), watched(*given))[1])
+    for k in range(12):
+        tracker.observe(Measurement(k * SECOND // 20, 'place', (0.2,)))
+        tracker.estimate(look=False)
+        assert not looked
+        tracker.look()
+        assert looked.pop() and not looked
+    assert tracker.kept < 6
