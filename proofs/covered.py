@@ -15,7 +15,7 @@ from proofs import ROOT
 COVERED = 0.95
 SETTINGS = """
 [run]
-source = pif_ros
+source = {root}/pif_ros
 parallel = true
 data_file = {folder}/data
 [report]
@@ -31,7 +31,7 @@ def run(share: float = 1.0) -> list[str]:
     chosen = [str(file.relative_to(ROOT)) for file in files[::max(round(1 / share), 1)]]
     with tempfile.TemporaryDirectory() as folder:
         settings = Path(folder) / 'settings'
-        settings.write_text(SETTINGS.format(folder=folder), encoding='utf-8')
+        settings.write_text(SETTINGS.format(folder=folder, root=ROOT), encoding='utf-8')
         # what numba compiles is not seen
         env = {**os.environ, 'COVERAGE_PROCESS_START': str(settings)}
         tests = subprocess.run([sys.executable, '-m', 'pytest', '-q', '-n', '2', '--dist',
