@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from pif_ros import interface
 from pif_ros.process import Signals
@@ -32,12 +34,12 @@ class Echo(Node):
         self._pose.publish(pose)
 
 
-def main() -> None:
-    """Run until SIGINT or SIGTERM, in the loop of the filter's node."""
+def serve(make: Callable[[], Node]) -> None:
+    """Run a node until SIGINT or SIGTERM, in the loop of the filter's node."""
     stopped = Signals()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()
-    executor.add_node(Echo())
+    executor.add_node(make())
     while not stopped():
         executor.spin_once(timeout_sec=0.1)
     executor.shutdown()
@@ -45,4 +47,4 @@ def main() -> None:
 
 
 if __name__ == '__main__':
-    main()
+    serve(Echo)

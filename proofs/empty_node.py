@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
+from benchmarks.echo import QUEUE_LENGTH, serve
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from pif_ros import interface
-from pif_ros.process import Signals
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
+from rclpy.node import Node
 
 
-def main() -> None:
-    """Run until SIGINT or SIGTERM, in the loop of the filter's node."""
-    stopped = Signals()
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node, executor = rclpy.create_node('empty_node'), SingleThreadedExecutor()
-    publisher = node.create_publisher(
-        PoseWithCovarianceStamped, interface.POSE.name, interface.POSE.qos)
+class EmptyNode(Node):
+    """Takes points and gives poses as the filter's node does, and has nothing to work on."""
 
-    def answer(message: PointStamped) -> None:
-        publisher.publish(PoseWithCovarianceStamped(header=message.header))
+    def __init__(self) -> None:
+        super().__init__('empty_node')
+        self._pose = self.create_publisher(
+            PoseWithCovarianceStamped, interface.POSE.name, interface.POSE.qos)
+        self.create_subscription(PointStamped, 'fix', self._on_point,
+                                 interface.measurement_qos(QUEUE_LENGTH))
 
-    node.create_subscription(PointStamped, 'fix', answer, interface.measurement_qos(1000))
-    executor.add_node(node)
-    while not stopped():
-        executor.spin_once(timeout_sec=0.1)
-    executor.shutdown()
-    rclpy.try_shutdown()
+    def _on_point(self, message: PointStamped) -> None:
+        self._pose.publish(PoseWithCovarianceStamped(header=message.header))
 
 
 if __name__ == '__main__':
-    main()
+    serve(EmptyNode)

@@ -80,6 +80,7 @@ def test_a_running_node_ends_cleanly_within_two_seconds_of_a_signal(tmp_path, si
         since = time.monotonic()
         for number in signals:
             node.process.send_signal(number)
+            # as far apart as a launch and its terminal send theirs
             time.sleep(0.005)
         check_a_clean_end(node, since, 2.0)
 
