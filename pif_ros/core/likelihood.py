@@ -170,12 +170,16 @@ def cell_widths(sensor: Sensor, centres: Array, spacing: Array, t: float) -> Arr
         half = np.zeros((len(spacing), spacing.size // len(spacing)))
         half[axis] = spacing[axis] / 2
         # edge to centre to edge, since a sensor may turn back within a cell
-        across = sum(np.linalg.norm(whiten @ sensor.difference(
-            sensor.function(centres + side * half, t), centre), axis=0)
-            for side in (-1, 1))
+        across = sum(_lengths(whiten @ sensor.difference(
+            sensor.function(centres + side * half, t), centre)) for side in (-1, 1))
         np.maximum(width, across, out=width)
     found: Array = np.nan_to_num(width, nan=0.0, posinf=0.0)
     return found
+
+
+def _lengths(v: Array) -> Array:
+    """Return the lengths of vectors (m, N), (N,)."""
+    return np.sqrt(np.einsum('ij,ij->j', v, v))
 
 
 def _log_density(v: Array, changes: list[Array]) -> Array:

@@ -76,7 +76,8 @@ def warm_up() -> None:
 
 def _compiled(p: Array, log_l: Array | Terms,
               cell_volume: float) -> tuple[Array, float] | None:
-    p, result = np.ascontiguousarray(p, dtype=float), np.empty(len(p))
+    # of what is nowhere written, memory has none to clear
+    p, result = np.ascontiguousarray(p, dtype=float), np.zeros(len(p))
     if isinstance(log_l, Terms):
         peak, evidence = _loops()[1](p, log_l.u, log_l.v, log_l.square, log_l.constant,
                                      log_l.places, log_l.own, cell_volume, result)
@@ -157,7 +158,8 @@ def _from_terms(p, u, v, square, constant,  # type: ignore[no-untyped-def]
                 for i in range(logs.size):
                     logs[i] += u[j] * factor[i]
     for k in range(places.size):
-        result[places[k]] = own[k]
+        if holds[places[k] >> 7]:
+            result[places[k]] = own[k]
     return corrected(p, holds, cell_volume, result)
 
 
@@ -175,7 +177,7 @@ def _held_tiles(p):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 def _corrected(p, holds, cell_volume, result):  # type: ignore[no-untyped-def]
     # pragma: no cover
-    """Write the posterior over the log likelihood, which is there where a tile holds anything."""
+    """Write the posterior over the log likelihood, which is where a tile holds anything, else 0."""
     best, sums = np.full(128, -np.inf), np.zeros(128)
     for tile in range(holds.size):
         if holds[tile]:
@@ -194,8 +196,6 @@ def _corrected(p, holds, cell_volume, result):  # type: ignore[no-untyped-def]
                 joint[i] = weighed(some[i], joint[i] - peak)
             for i in range(some.size):
                 sums[i] += joint[i]
-        else:
-            joint[:] = 0.0
     evidence = sums.sum()
     scale = 1 / (evidence * cell_volume)
     for tile in range(holds.size):

@@ -95,8 +95,11 @@ def _sum(hull: Window, patches: Sequence[Patch]) -> Patch:
 
 def _cut(patch: Patch, negligible: float) -> Iterator[Patch]:
     """Give the parts of a patch that hold all but a negligible share of its mass."""
-    patch = _unrolled(patch, _kept(patch.density, negligible))
-    for box in _boxes(_kept(patch.density, negligible)):
+    kept = _kept(patch.density, negligible)
+    if any(patch.window.circles):
+        patch = _unrolled(patch, kept)
+        kept = _kept(patch.density, negligible)
+    for box in _boxes(kept):
         window = patch.window
         first = [start + part.start for start, part in zip(window.offset, box)]
         yield _thick(window, first, patch.density[box])

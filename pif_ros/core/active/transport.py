@@ -32,12 +32,11 @@ Noise = Callable[[Window], tuple[Array, list[tuple[float, tuple[int, ...]]]]]
 SPREAD = 0.25
 #: How many standard deviations of the noise are kept: 2e-9 of it lies beyond.
 REACH = 6.0
-#: A plane none of whose cells has more than this share of the densest one is not carried.
-MARGIN = 1e-9
+#: A cell with less than this share of the densest one is not worth carrying: all of these together
+#: are next to nothing beside what a cut leaves out.
+NOTHING = 1e-9
 #: Iterations for the width of the noise; they converge in six.
 NEWTON = 10
-#: A cell with less than this share of the densest one is not worth carrying.
-NOTHING = 1e-14
 #: Cells that are carried at a time.
 CHUNK = 1 << 15
 
@@ -84,7 +83,7 @@ def _without_margins(patch: Patch) -> Patch:
     first, last = np.zeros(p.ndim, dtype=np.int64), np.array(p.shape)
     for axis, circle in enumerate(window.circles):
         held = p.max(axis=tuple(i for i in range(p.ndim) if i != axis))
-        used = np.flatnonzero(held > MARGIN * held.max())
+        used = np.flatnonzero(held > NOTHING * held.max())
         if len(used) and not circle:
             first[axis] = min(used[0], p.shape[axis] - 2)
             last[axis] = max(used[-1] + 1, first[axis] + 2)
@@ -130,8 +129,8 @@ def noise_kernel(variance: float) -> Array:
     """
     if variance <= 0:
         return np.ones(1)
-    k = np.arange(-int(np.ceil(REACH * np.sqrt(variance))) - 2,
-                  int(np.ceil(REACH * np.sqrt(variance))) + 3)
+    reach = int(np.ceil(REACH * np.sqrt(variance)))
+    k = np.arange(-reach, reach + 1)
     a = 1 / (2 * variance)
     for _ in range(NEWTON):
         w = np.exp(-a * k * k)

@@ -86,6 +86,19 @@ class BlockFactor:
         return (longest // loops.LANES + 2) * loops.LANES
 
     @cached_property
+    def spans(self) -> NDArray[np.int64]:
+        """Return the first and the last cell that each tile of blocks takes from, (tiles, 2)."""
+        blocks = np.flatnonzero(np.diff(self.pointers))
+        first = loops.LANES * blocks + self.moves[self.pointers[blocks]]
+        last = loops.LANES * (blocks + 1) - 1 + self.moves[self.pointers[blocks + 1] - 1]
+        spans = np.full((-(-(len(self.pointers) - 1) // loops.TILE), 2), (0, -1))
+        tiles, begin = np.unique(blocks // loops.TILE, return_index=True)
+        if len(blocks):
+            spans[tiles, 0] = np.minimum.reduceat(first, begin)
+            spans[tiles, 1] = np.maximum.reduceat(last, begin)
+        return spans
+
+    @cached_property
     def T(self) -> BlockFactor:  # noqa: N802
         """Return the transpose."""
         return BlockFactor.of(self.tocsr().T)
@@ -153,22 +166,16 @@ def product(factors: Sequence[BlockFactor], density: Any) -> Any:
         return np.stack([product(factors, column) for column in density.T], axis=1)
     size, reach = factors[0].size, max(factor.reach for factor in factors)
     # room on either side for what is weighed with zero
-    p = np.zeros(-(-size // loops.LANES) * loops.LANES + 2 * reach, factors[0].weights.dtype)
-    p[reach:reach + size] = density
-    held, moved = _held(p, size), np.empty_like(p)
+    room = -(-size // loops.LANES) * loops.LANES + 2 * reach
+    p, moved = (np.zeros(room, factors[0].dtype) for _ in range(2))
+    held = loops.take(density, LEAST_SHARE, p, reach) if size >= SPARED else None
+    if held is None or held[-1] * loops.LANES > MOST_HELD * size:
+        held, p[reach:reach + size] = None, density
     for factor in factors:
         operator = factor.weights, factor.moves, factor.pointers
         if held is None:
             loops.move(*operator, p, reach, moved)
         else:
-            held = loops.move_mass(*operator, p, reach, held, moved)
+            held = loops.move_mass(*operator, factor.spans, p, reach, held, moved)
         p, moved = moved, p
     return p[reach:reach + size]
-
-
-def _held(p: Weights, size: int) -> loops.Counts | None:
-    """Return how many blocks with something to carry are before each one; None for all."""
-    if size < SPARED:
-        return None
-    held = loops.holding(p, LEAST_SHARE)
-    return held if held[-1] * loops.LANES < MOST_HELD * size else None

@@ -15,6 +15,8 @@ Counts = NDArray[np.int32]
 
 #: Cells that are taken at once.
 LANES = 8
+#: Blocks of so many cells that are left out together, where nothing comes to any of them.
+TILE = 64
 #: What the loops call: a compiler makes it, and they look for it here.
 add_products: Any = None
 receives: Any = None
@@ -52,22 +54,30 @@ def move_all(weights: Array, moves: NDArray[np.int32], pointers: NDArray[np.int6
     _loops(weights.itemsize)[5](weights, moves, pointers, p, reach, room)
 
 
-def move_mass(weights: Array, moves: NDArray[np.int32], pointers: NDArray[np.int64], p: Array,
-              reach: int, held: Counts, result: Array) -> Counts:
+def move_mass(weights: Array, moves: NDArray[np.int32], pointers: NDArray[np.int64],
+              spans: NDArray[np.int64], p: Array, reach: int, held: Counts,
+              result: Array) -> Counts:
     """
-    Write the same where anything comes from blocks that hold something, else 0; return its held.
+    Write the same to zeros, where anything comes from blocks that hold something; return its held.
 
-    held: how many blocks of p hold something before each one, (blocks + 1,).
+    p is cleared, to be written next. spans: the first and the last cell that each TILE of blocks takes from, (tiles, 2); held: how
+    many blocks of p hold something before each one, (blocks + 1,).
     """
     reached = np.zeros_like(held)
-    _loops(weights.itemsize)[2](weights, moves, pointers, p, reach, held, result, reached)
+    _loops(weights.itemsize)[2](weights, moves, pointers, spans, p, reach, held, result, reached)
     return reached
 
 
-def holding(p: Array, share: float) -> Counts:
-    """Return how many blocks with more than a share of the largest there are before each one."""
+def take(density: Array, share: float, p: Array, reach: int) -> Counts:
+    """
+    Write the blocks of a vector (cells,) that hold anything to zeros (reach + cells + reach,).
+
+    These have more than a share of the largest; returns how many there are before each block.
+    """
     held = np.zeros(len(p) // LANES + 1, np.int32)
-    _loops(p.itemsize)[3](p, share, np.empty(len(p) // LANES, p.dtype), held)
+    peaks = np.empty(-(-len(density) // (LANES * TILE)), p.dtype)
+    _loops(p.itemsize)[3](np.ascontiguousarray(density, dtype=p.dtype), share, peaks, p, reach,
+                          held)
     return held
 
 
@@ -85,7 +95,7 @@ def warm_up(size: int) -> None:
 
 @cache
 def _loops(size: int) -> tuple[Callable[..., Any], ...]:
-    """Return the loops that make blocks, move, move mass, find, narrow it and move on at once."""
+    """Return the loops that make blocks, move, move mass, take, narrow it and move on at once."""
     global add_products, receives, move_by
     numba = compiler.compiler()
     kinds, make = numba.types, partial(numba.njit, cache=True, nogil=True, error_model='numpy')
@@ -95,11 +105,11 @@ def _loops(size: int) -> tuple[Callable[..., Any], ...]:
     vector, table = real[::1], real[:, ::1]
     whole, narrow, count, share = kinds.int64[::1], kinds.int32[::1], kinds.int64, kinds.float64
     operator, whole_rows = (table, narrow, whole), kinds.int64[:, ::1]
-    read = kinds.Array(share, 1, 'C', readonly=True)
+    read, taken = (kinds.Array(kind, 1, 'C', readonly=True) for kind in (share, real))
     return (make([(whole, narrow, vector, *operator[::-1])])(_fill),
             make([(*operator, vector, count, vector)])(_move),
-            make([(*operator, vector, count, narrow, vector, narrow)])(_move_mass),
-            make([(vector, share, vector, narrow)])(_holding),
+            make([(*operator, whole_rows, vector, count, narrow, vector, narrow)])(_move_mass),
+            make([(taken, share, vector, vector, count, narrow)])(_take),
             make([(read, share, vector)])(_narrow),
             make([(table, narrow, whole_rows, read, count, table)])(_move_all))
 
@@ -134,16 +144,30 @@ def _fill(indptr, indices, data, pointers, moves, weights):  # type: ignore[no-u
     return found
 
 
-def _holding(p, share, peaks, held):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Count the blocks with more than a share of the largest size before each one."""
-    for block in range(peaks.size):
-        peak = abs(p[8 * block])
-        for i in range(8 * block + 1, 8 * block + 8):
-            peak = max(peak, abs(p[i]))
-        peaks[block] = peak
-    least = share * peaks.max()
-    for block in range(peaks.size):
-        held[block + 1] = held[block] + (peaks[block] > least)
+def _take(density, share, peaks, p, reach, held):  # type: ignore[no-untyped-def]
+    # pragma: no cover
+    """Copy the blocks with more than a share of the largest size, and count them."""
+    best = np.zeros(64, density.dtype)
+    for tile in range(peaks.size):
+        best[:] = 0
+        for start in range(512 * tile, min(512 * tile + 512, density.size), 64):
+            some = density[start:start + 64]
+            for i in range(some.size):
+                size = abs(some[i])
+                best[i] = size if size > best[i] else best[i]
+        peaks[tile] = best.max()
+    least, margin = share * peaks.max(), reach // 8
+    for tile in range(peaks.size):
+        for block in range(64 * tile, min(64 * tile + 64, (density.size + 7) // 8)):
+            found = False
+            if peaks[tile] > least:
+                some = density[8 * block:8 * block + 8]
+                for i in range(some.size):
+                    found |= abs(some[i]) > least
+                if found:
+                    p[reach + 8 * block:reach + 8 * block + some.size] = some
+            held[margin + block + 1] = held[margin + block] + found
+    held[margin + (density.size + 7) // 8 + 1:] = held[margin + (density.size + 7) // 8]
 
 
 def _move(weights, moves, pointers, p, reach, result):  # type: ignore[no-untyped-def]
@@ -167,20 +191,26 @@ def _move_all(weights, moves, pointers, p, reach, room):  # type: ignore[no-unty
         move_by(weights, moves, pointers[k], room[k % 2], reach, room[(k + 1) % 2])
 
 
-def _move_mass(weights, moves, pointers, p, reach, held,  # type: ignore[no-untyped-def]
+def _move_mass(weights, moves, pointers, spans, p, reach, held,  # type: ignore[no-untyped-def]
                result, reached):  # pragma: no cover
-    """Write a vector after an operator in blocks, where something comes, and where that is."""
+    """Write a vector after an operator in blocks where something comes, tell where, and clear p."""
     blocks, margin = pointers.size - 1, reach // 8
-    result[:reach] = 0
-    result[reach + 8 * blocks:] = 0
-    for block in range(blocks):
-        first, last, at = pointers[block], pointers[block + 1], reach + 8 * block
-        comes = receives(moves, first, last, at, held)
-        if not comes:
-            last = first
-        reached[margin + block + 1] = reached[margin + block] + comes
-        add_products(result, at, weights, moves, first, last, p)
+    for tile in range(spans.shape[0]):
+        begin, end = 64 * tile, min(64 * tile + 64, blocks)
+        low, high = reach + spans[tile, 0], reach + spans[tile, 1]
+        if held[(high >> 3) + 1] == held[low >> 3]:
+            reached[margin + begin + 1:margin + end + 1] = reached[margin + begin]
+            continue
+        for block in range(begin, end):
+            first, last, at = pointers[block], pointers[block + 1], reach + 8 * block
+            comes = receives(moves, first, last, at, held)
+            reached[margin + block + 1] = reached[margin + block] + comes
+            if comes:
+                add_products(result, at, weights, moves, first, last, p)
     reached[margin + blocks + 1:] = reached[margin + blocks]
+    for block in range(margin, margin + blocks):
+        if held[block + 1] > held[block]:
+            p[8 * block:8 * block + 8] = 0
 
 
 def _narrow(density, share, shares):  # type: ignore[no-untyped-def]  # pragma: no cover
