@@ -189,23 +189,24 @@ def _factor(grid: Grid, settings: KernelSettings, step: Integers, mean: Array,
     mean = np.clip(mean, -FAR, FAR)
     shift = whole_cells(mean)
     rest, tolerance = mean - shift, settings.tolerance
-    data, rows = [], []
-    counts = np.zeros(grid.size + 1, dtype=np.int64)
     width = max(1, CHUNK // (2 * half_width(variance, tolerance) + 1))
-    for first in range(0, grid.size, width):
-        some = slice(first, min(first + width, grid.size))
-        half = half_width(variance[some], tolerance)
+    chunks = [slice(first, min(first + width, grid.size)) for first in range(0, grid.size, width)]
+    halves = [half_width(variance[some], tolerance) for some in chunks]
+    room = sum((2 * half + 1) * (some.stop - some.start) for half, some in zip(halves, chunks))
+    data, rows = np.empty(room, settings.dtype), np.empty(room, np.int32)
+    pointers = np.zeros(grid.size + 1, dtype=np.int64)
+    for half, some in zip(halves, chunks):
         w = lattice_weights(rest[some], variance[some], half).T
         nodes = np.arange(-half, half + 1)
         targets, keep = _land(grid, step, some, (shift[some, None] + nodes).astype(np.int32))
         keep &= w > 0
-        data.append(w[keep].astype(settings.dtype, copy=False))
-        rows.append(targets[keep])
-        counts[some.start + 1:some.stop + 1] = keep.sum(axis=1)
-    pointers = np.cumsum(counts)
-    if pointers[-1] <= np.iinfo(np.int32).max:
+        begin = pointers[some.start]
+        pointers[some.start + 1:some.stop + 1] = begin + np.cumsum(keep.sum(axis=1))
+        found = slice(begin, pointers[some.stop])
+        data[found], rows[found] = w[keep], targets[keep]
+    if room <= np.iinfo(np.int32).max:
         pointers = pointers.astype(np.int32)
-    factor = sparse.csc_array((np.concatenate(data), np.concatenate(rows), pointers),
+    factor = sparse.csc_array((data[:found.stop], rows[:found.stop], pointers),
                               shape=(grid.size, grid.size))
     if any(grid.periodic[d] and 2 * half_width(variance, tolerance) >= grid.shape[d]
            for d in np.flatnonzero(step)):
