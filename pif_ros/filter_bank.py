@@ -94,7 +94,7 @@ class Target(FilterNode):
         if not self._is_warm:
             super()._warm_up()
 
-    def _start(self) -> None:
+    def _let_work(self) -> None:
         self._wake, self.inbox.slice = self._bank_wake, 1
 
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-import functools
 import math
 import time
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from lifecycle_msgs.srv import ChangeState
 from pif_ros import interface, parameters
 from pif_ros.accounts import Accounts, Throttle
 from pif_ros.config import build_tracker, Config, ConfigError, describe, find_grid, find_system
@@ -23,6 +20,7 @@ from pif_ros.health import Health
 from pif_ros.inbox import Inbox
 from pif_ros.keeper import Keeper
 from pif_ros.listener import Listener
+from pif_ros.managed_node import ManagedNode
 from pif_ros.outputs import Outputs
 from pif_ros.process import guarded
 from pif_ros.resuming import Resuming
@@ -33,7 +31,7 @@ from pif_ros.timekeeper import ClockSet, Timekeeper
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, ParameterUninitializedException
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from std_srvs.srv import Empty, Trigger
 
@@ -45,7 +43,7 @@ FORECASTS_TAKE = 4
 AT_ONCE = 1e-3
 
 
-class FilterNode(LifecycleNode):
+class FilterNode(ManagedNode):
     """
     Measurements in; pose, covariance and density out, on the topics of interface.py.
 
@@ -56,7 +54,7 @@ class FilterNode(LifecycleNode):
 
     def __init__(self, managed: bool = True, **kwargs: Any) -> None:
         try:
-            super().__init__('filter_node', enable_communication_interface=managed, **kwargs)
+            super().__init__('filter_node', managed, **kwargs)
         except (InvalidParameterTypeException, ParameterUninitializedException):
             raise ConfigError(parameters.mistyped(self)) from None
         given = self._given()
@@ -70,102 +68,24 @@ class FilterNode(LifecycleNode):
         self._next_forecast, self._took = 0.0, math.inf
         self._since_ns, self._published_ns = 0, -1
         self._health: Health
-        self._is_made = self._is_active = False
         self._live = _live(self.config)
         self._time = Timekeeper(self, round(self.config.time.max_ahead * NANOSECONDS),
                                 self._on_clock_set)
         self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
         self.add_on_set_parameters_callback(self._on_parameters)
-        if managed:
-            asked = self._service_change_state
-            asked.callback = functools.partial(self._on_change_state, asked.callback)
         if self.config.autostart or not managed:
-            self._refusal = ''
-            if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
-                raise ConfigError(self._refusal)
-            self.trigger_activate()
-
-    # What a lifecycle manager asks for
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make the filter, and all topics and services; say why where there is none to be made."""
-        before = self._entities()
-        try:
-            self._make()
-        except Exception as error:  # noqa: B902  rclpy would swallow it
-            self._destroy(before)
-            self._refusal = str(error)
-            if not isinstance(error, ConfigError):
-                self._refusal = f'{type(error).__name__}: {error}'
-            if not self.config.autostart:
-                self.get_logger().error(self._refusal)
-            return TransitionCallbackReturn.FAILURE
-        self._before, self._is_made = before, True
-        return super().on_configure(state)
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Listen and publish; what was believed is believed still."""
-        self._is_active = True
-        self._outputs.restart()
-        return super().on_activate(state)
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Neither listen nor publish; what waits is worked in."""
-        self._is_active = False
-        return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Save what is to be kept, and let go of filter, topics and services."""
-        self._release()
-        return super().on_cleanup(state)
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Do the same, from any state and for ever."""
-        self._release()
-        return super().on_shutdown(state)
-
-    def _on_change_state(self, change: Callable[..., Any], request: ChangeState.Request,
-                         response: ChangeState.Response) -> ChangeState.Response:
-        """Answer also where there is no such transition, for which rclpy would raise."""
-        try:
-            return change(request, response)
-        except Exception as error:  # noqa: B902  RCLError has no public name
-            wanted = request.transition.label or request.transition.id
-            self.report('lifecycle', f'lifecycle: expected a transition from here, got {wanted!r} '
-                        f'({str(error).split(", at ")[0]})')
-            response.success = False
-            return response
+            self.start()
 
     def finish(self) -> None:
         """Account for what still waits, and save what is to outlast the process."""
-        if self._is_made:
+        if self.is_made:
             self.drain()
             self._resuming.finish()
 
-    def destroy_node(self) -> None:
-        """Let go of the node, and of its state machine, which keeps it on the graph otherwise."""
-        super().destroy_node()
-        self._state_machine.destroy_when_not_in_use()
-
-    def _release(self) -> None:
-        self.finish()
-        self._is_active = False
-        if self._is_made:
-            self._is_made = False
-            self._destroy(self._before)
-
-    def _entities(self) -> list[Any]:
-        return [*self.publishers, *self.subscriptions, *self.services, *self.timers, *self.guards]
-
-    def _destroy(self, spared: list[Any]) -> None:
-        """Destroy all topics, services and timers that were made since."""
-        kept = set(map(id, spared))
-        for kind, some in (('publisher', self.publishers), ('subscription', self.subscriptions),
-                           ('service', self.services), ('timer', self.timers),
-                           ('guard_condition', self.guards)):
-            for entity in list(some):
-                if id(entity) not in kept:
-                    getattr(self, f'destroy_{kind}')(entity)
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Listen and publish; what was believed is believed still."""
+        self._outputs.restart()
+        return super().on_activate(state)
 
     # What comes in
 
@@ -178,7 +98,7 @@ class FilterNode(LifecycleNode):
 
     def _refuses(self, prefix: str) -> str:
         """Return in a word why a source is not listened to now, '' where it is."""
-        if not self._is_active:
+        if not self.is_active:
             return 'inactive'
         return '' if self._live.get(f'{prefix}.enabled', True) else 'disabled'
 
@@ -212,7 +132,7 @@ class FilterNode(LifecycleNode):
     @guarded
     def _on_clock_set(self, clock: ClockSet) -> None:
         self.get_logger().info(clock.text)
-        if not self._is_made or clock.goes_on and not clock.by_ns:
+        if not self.is_made or clock.goes_on and not clock.by_ns:
             return
         self.inbox.drain()
         newest = self.tracker.estimate() if clock.goes_on else None
@@ -257,7 +177,7 @@ class FilterNode(LifecycleNode):
     @guarded
     def _on_timer(self) -> None:
         now_ns = self._now()
-        if now_ns is None or not self._is_active or not self.is_due(now_ns):
+        if now_ns is None or not self.is_active or not self.is_due(now_ns):
             return
         began = time.monotonic()
         if began < self._next_forecast:
@@ -283,7 +203,7 @@ class FilterNode(LifecycleNode):
                      self.watch.summary(), self.watch.busy(), self.skipped,
                      time.monotonic() - since if since else 0.0, self.faults,
                      self.restarts + self.inbox.gaps,
-                     self._why, self._log_volume, masses, self._is_active)
+                     self._why, self._log_volume, masses, self.is_active)
 
     def is_due(self, now_ns: int) -> bool:
         """Return whether a pose is to be predicted to now."""
@@ -319,7 +239,7 @@ class FilterNode(LifecycleNode):
 
     def _publish(self, estimate: Estimate[Any]) -> None:
         """Publish an estimate, but never with an older stamp than the last."""
-        if estimate.stamp_ns is None or not self._is_active:
+        if estimate.stamp_ns is None or not self.is_active:
             return
         stamp_ns = max(estimate.stamp_ns, self._published_ns)
         if estimate.stamp_ns < stamp_ns:
@@ -351,7 +271,7 @@ class FilterNode(LifecycleNode):
 
     @guarded
     def _look(self) -> None:
-        if self._is_made:
+        if self.is_made:
             self._health.look()
 
     # How it is set up
@@ -359,7 +279,7 @@ class FilterNode(LifecycleNode):
     def _given(self) -> dict[str, Any]:
         return parameters.told(self)
 
-    def _make(self) -> None:
+    def make(self) -> None:
         """Make the filter, and what goes in and out; ConfigError where there is none."""
         config = self.config
         self.tracker = self._make_tracker()
@@ -381,7 +301,7 @@ class FilterNode(LifecycleNode):
         for service, callback in ((interface.RESET, self._on_reset),
                                   (interface.GLOBAL, self._on_global)):
             self.create_service(service.type, service.name, callback)
-        self._start()
+        self._let_work()
         self._resuming = Resuming(self, self._keeper, self._recall, lambda: self._published_ns,
                                   self._now, config.checkpoint_period)
 
@@ -414,7 +334,7 @@ class FilterNode(LifecycleNode):
             f'kernel.time_step: a step of {step:g} s takes {min(needed):.2g} s to compute: the '
             'filter cannot keep up; take a longer step or a coarser grid']
 
-    def _start(self) -> None:
+    def _let_work(self) -> None:
         """Let the work be done when there is some."""
         self._wake = self.create_guard_condition(self._work)
         self.tracker.filter = TimedFilter(self.tracker.filter, self.watch)

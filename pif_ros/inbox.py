@@ -186,13 +186,14 @@ class Inbox:
             if made.gated:
                 self._report(f'{measurement.source}: gate', f'{measurement.source}: rejected a '
                              f'measurement of which {made.tail:.2g} are as little expected')
+            elif surprise == -math.inf:
+                self._report(f'{measurement.source}: off the grid', f'{measurement.source}: '
+                             'rejected a measurement that no state of the belief allows')
             elif surprise < OUTLIER:
                 self._account_of(measurement).outliers += 1
-                self._report(f'{measurement.source}: outlier', f'{measurement.source}: ' + (
-                    'a measurement that no state of the belief allows: the belief stays as it was'
-                    if surprise == -math.inf else 'a measurement about '
-                    f'{math.sqrt(-2 * surprise):.0f} standard deviations from all that is believed'
-                ))
+                self._report(f'{measurement.source}: outlier', f'{measurement.source}: a '
+                             f'measurement about {math.sqrt(-2 * surprise):.0f} standard '
+                             'deviations from all that is believed')
         self._tracker.corrections.clear()
         if self._tracker.stamp_ns is not None:
             self._verdicts.forget(self._tracker.stamp_ns - self._history_ns)

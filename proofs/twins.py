@@ -14,6 +14,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 import numpy as np
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.estimates import Measurement
+from pif_ros.verdicts import OFF_THE_GRID
 from proofs import events, invariants
 from proofs.inputs import BESIDE, Input, INPUTS
 from rclpy.clock import ClockType
@@ -285,5 +286,7 @@ class Twins:
 
 
 def _became(account: Any) -> dict[str, int]:
-    """Return what became of the messages of an account."""
-    return {'accepted': account.accepted, 'dropped': account.dropped, **account.rejected}
+    """Return what became of the messages of an account; what a belief cannot use was right."""
+    rejected = dict(account.rejected)
+    taken = account.accepted + rejected.pop(OFF_THE_GRID, 0)
+    return {'accepted': taken, 'dropped': account.dropped, **rejected}

@@ -393,6 +393,20 @@ def test_an_outlier_of_fifty_standard_deviations_is_told_and_counted_and_survive
     check_healthy(rig)
 
 
+def test_a_measurement_that_no_state_allows_is_rejected_and_changes_nothing(graph):
+    rig = Rig(graph, PLANE)
+    sure = [(T + i * MS, 0.5, -0.5) for i in range(20)]
+    # its square is no number any more
+    impossible = (T + 20 * MS, 1e200, -0.5)
+    follow(rig, [*sure, impossible])
+    rig.line('main', 'rejected', 'no state of the belief')
+    account = rig.node.accounts.sources['main']
+    assert (account.accepted, account.outliers, account.rejected) == (20, 0, {'off the grid': 1})
+    check_same(belief(rig), library(measurements=[*sure, impossible]).estimate().belief)
+    assert_allclose(belief(rig).mean(), [0.5, -0.5], atol=0.1)
+    check_healthy(rig)
+
+
 def test_an_ordinary_measurement_is_no_outlier(graph):
     rig = Rig(graph, PLANE)
     rng = np.random.default_rng(5)

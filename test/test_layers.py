@@ -70,7 +70,7 @@ LAYERS = [
     ['conversions', 'pace'],
     ['sources', 'reference', 'health', 'mode_messages', 'verdicts'],
     ['inbox', 'mode_outputs', 'resuming', 'simulation_node', 'start'],
-    ['outputs', 'listener'],
+    ['outputs', 'listener', 'managed_node'],
     ['filter_node'],
     ['filter_bank'],
     ['node', 'simulate'],
@@ -85,11 +85,12 @@ OPTIONAL = {'core.kernels.wavelets': {'pywt'}, 'core.active.compiled': {'numba'}
 
 #: Who may speak to rclpy, and who of them handles messages.
 SPEAKS_ROS = {'parameters', 'outputs', 'mode_outputs', 'filter_node', 'filter_bank', 'node',
-              'interface', 'conversions', 'mode_messages', 'health', 'listener', 'resuming',
+              'interface', 'conversions', 'mode_messages', 'health', 'listener', 'managed_node',
+              'resuming',
               'start', 'timekeeper', 'simulate', 'simulation_node',
               'plaza.player', 'plaza.player_node', 'plaza.recorder', 'plaza.demonstration'}
 HANDLES_MESSAGES = {'conversions', 'mode_messages', 'interface', 'filter_node', 'simulation_node',
-                    'resuming', 'start',
+                    'managed_node', 'resuming', 'start',
                     'plaza.player_node', 'plaza.recorder'}
 
 

@@ -1,7 +1,9 @@
 """Which cells are kept: what is dropped, what lives on, and what that costs."""
 
 import numpy as np
+from pif_ros.core.active import RegionSettings
 from pif_ros.core.active.belief import ActiveBelief, Patch
+from pif_ros.core.active.focus import fitted
 from pif_ros.core.active.regions import DEAD, regions
 from pif_ros.core.active.window import Window
 from pif_ros.core.grid import Grid
@@ -104,10 +106,10 @@ def test_patches_on_both_sides_of_a_seam_are_joined_across_it():
     assert abs(one.mean()[1]) == pytest.approx(np.pi, abs=1e-6)
 
 
-def test_a_belief_without_mass_stays():
-    nothing = ActiveBelief(PLANE, (Patch(Window(PLANE, (0, 0), (3, 3), (4, 4)),
-                                         np.zeros((4, 4))),))
-    assert regions(nothing, 1e-6) is nothing
+def test_of_a_belief_without_mass_no_patch_is_left():
+    nothing = ActiveBelief(PLANE, (Patch(Window.whole(PLANE), np.zeros(PLANE.shape)),), 0.25)
+    left = fitted(nothing, RegionSettings())
+    assert (left.patches, left.mass, left.dropped) == ((), 0.0, 0.25)
 
 
 @pytest.mark.parametrize('places', [[(0, 0), (30, 3)], [(0, 0), (30, 0)], [(199, 199), (0, 199)],

@@ -93,3 +93,9 @@ def test_the_width_of_many_humps_is_that_of_one():
     hump = np.exp(-0.5 * (x / 1.5)**2)
     two = np.exp(-0.5 * ((x - 10) / 1.5)**2) + 0.1 * np.exp(-0.5 * ((x + 10) / 1.5)**2)
     assert widths(Patch(FINE, two))[0] == pytest.approx(widths(Patch(FINE, hump))[0], rel=1e-3)
+
+
+def test_the_width_is_that_of_the_shape_however_little_of_it_is_left():
+    p = np.ones(PLANE.shape)
+    assert widths(Patch(Window.whole(PLANE), 1e-310 * p)) == pytest.approx(
+        widths(Patch(Window.whole(PLANE), p)))

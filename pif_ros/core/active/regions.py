@@ -37,7 +37,7 @@ def regions(belief: ActiveBelief, negligible: float) -> ActiveBelief:
     """
     mass = belief.mass
     if not mass > 0:
-        return belief
+        return ActiveBelief(belief.base, (), belief.dropped)
     alive = [patch for patch in belief.patches if patch.mass > DEAD * mass]
     kept = [part for patch in _put_together(alive) for part in _cut(patch, negligible)]
     left_out = max(1 - sum(patch.mass for patch in kept) / mass, 0.0)

@@ -31,7 +31,7 @@ def widths(patch: Patch) -> Array:
                      window.offset[axis] + window.shape[axis] == window.cells[axis])
             information += sum(float((side * side).sum()) for side, edge in
                                zip((first, last), edges) if window.base.periodic[axis] or not edge)
-        found.append(np.sqrt(total / max(4 * information, 1e-30 * total)))
+        found.append(1 / np.sqrt(max(4 * information / total, 1e-30)))
     return np.array(found)
 
 
