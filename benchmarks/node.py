@@ -27,6 +27,8 @@ CONFIG = 'config/coupled_trigonometric.yaml'
 #: No pose but the answers: the timer's would be taken for them.
 QUIET = ('-p', 'publish.rate:=0.0')
 PER_TURN, TURNS, PASSES = 25, 10, 5
+RATE = 100.0
+STEADY, BURSTS = '100 per second to each', f'{PER_TURN} at 100 per second, then rest'
 STATE = np.array([2.0, -1.5])
 LIMIT_S = 30.0
 ECHO = 'echo'
@@ -47,12 +49,13 @@ def run(effort: Effort) -> Table:
         for peer in peers.values():
             peer.wait_until_connected()
         rows = []
-        for setting, pause_s in (('one after the other', 0.0), ('100 per second', 0.01)):
+        for setting, (per_turn, turns, pause_s) in _paces(len(peers)).items():
             samples = interleave(
-                {name: Contestant(peer.ask, PER_TURN, pause_s=pause_s)
+                {name: Contestant(peer.ask, per_turn, pause_s=pause_s)
                  for name, peer in peers.items()},
-                TURNS, effort.scaled(PASSES, 1), Progress(f'node: {setting}'))
-            rows += [_row(name, setting, taken, samples[ECHO])
+                turns, effort.scaled(PASSES, 1), Progress(f'node: {setting}'))
+            rows += [_row(name, setting, taken.reshape(-1, PER_TURN),
+                          samples[ECHO].reshape(-1, PER_TURN))
                      for name, taken in samples.items()]
     return Table('The node over DDS, a measurement out and its pose back', rows, [
         'Each node is a process of its own, and this one is the client; times are round trips, '
@@ -61,7 +64,9 @@ def run(effort: Effort) -> Table:
         'and its pose leaving.',
         f'{CONFIG}, with publish.rate 0: between measurements the node rests. The echo has the '
         'same types, quality of service and executor.',
-        f'{rows[0].accuracy["samples"]:.0f} round trips or more each.'])
+        f'{rows[0].accuracy["samples"]:.0f} round trips or more each.  {STEADY}: in turn, so that '
+        f'none ever rests; {BURSTS}: the others have their {PER_TURN} before, during which the '
+        'filter is forgotten by the processor and has as long to predict.'])
 
 
 class Peer:
@@ -140,6 +145,13 @@ def _commands() -> dict[str, list[str]]:
     return {ECHO: ['benchmarks.echo', '--ros-args'],
             'filter_node': node,
             'filter_node, not watched': [*node, '-p', 'lost.false_alarm_rate:=0.0']}
+
+
+def _paces(peers: int) -> dict[str, tuple[int, int, float]]:
+    """Return measurements in a turn, turns, and the rest before each, in seconds."""
+    return {'one after the other': (PER_TURN, TURNS, 0.0),
+            STEADY: (1, PER_TURN * TURNS, 1 / (RATE * peers)),
+            BURSTS: (PER_TURN, TURNS, 1 / RATE)}
 
 
 def _row(name: str, setting: str, samples: Samples, echo: Samples) -> Row:
