@@ -55,12 +55,17 @@ def share(p: Array, moves: Sequence[Array], least: float, spread: Array, circles
 
 
 def convolved(p: Array, weights: Array, axis: int, circle: bool) -> Array:
-    """Return p with each cell shared along an axis, moves -K to K with weights (2 K + 1,)."""
-    before, after = p.shape[:axis], p.shape[axis + 1:]
-    flat = p.reshape(math.prod(before), p.shape[axis], math.prod(after))
-    result = np.zeros_like(flat)
+    """
+    Return p with each cell shared along an axis, moves -K to K with weights (2 K + 1,).
+
+    K cells longer at either end of the axis, unless that is a circle.
+    """
+    before, count, after = p.shape[:axis], p.shape[axis], p.shape[axis + 1:]
+    longer = count if circle else count + len(weights) - 1
+    flat = np.ascontiguousarray(p).reshape(math.prod(before), count, math.prod(after))
+    result = np.zeros((len(flat), longer, flat.shape[2]))
     _loops()[2](flat, weights, circle, result)
-    return result.reshape(p.shape)
+    return result.reshape(*before, longer, *after)
 
 
 def warm_up() -> None:
@@ -78,8 +83,8 @@ def _loops() -> tuple[Callable[..., Any], ...]:
     vector, whole = kinds.float64[::1], kinds.int64[::1]
     bounds = (read,) * (1 + AXES) + (kinds.float64,)
     share = bounds + (vector, whole, whole, kinds.int64, kinds.float64[:, :, :, ::1])
-    planes = kinds.float64[:, :, ::1]
-    convolve = (planes, vector, kinds.boolean, planes)
+    planes = kinds.Array(kinds.float64, 3, 'C', readonly=True)
+    convolve = (planes, vector, kinds.boolean, kinds.float64[:, :, ::1])
     return tuple(numba.njit([signature], cache=True, nogil=True)(loop) for signature, loop in
                  ((bounds, _bounds), (share, _share), (convolve, _convolve)))
 
@@ -144,20 +149,23 @@ def _share(p, a, b, c, d, least, spread, first, turns, extra,  # type: ignore[no
 
 
 def _convolve(p, weights, circle, result):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Add to result each p[:, j] times a weight at j - K to j + K, round the axis if a circle."""
+    """Add to result each p[:, j] times weights[k] at j + k, round the axis if that is a circle."""
     count, reach = p.shape[1], len(weights) // 2
     for i in range(p.shape[0]):
         for k in range(len(weights)):
-            w, move = weights[k], k - reach
-            if -count < move < count:
-                # in one line each, whatever lies along the axis and beyond it
-                first, last = max(0, -move), min(count, count - move)
+            # in one line each, whatever lies along the axis and beyond it
+            first, move = 0, k
+            last = count
+            if circle:
+                move = k - reach
+                first, last = min(max(0, -move), count), max(min(count, count - move), 0)
+            if first < last:
                 there = result[i, first + move:last + move].reshape(-1)
                 here = p[i, first:last].reshape(-1)
                 for j in range(len(here)):
-                    there[j] += w * here[j]
+                    there[j] += weights[k] * here[j]
             if circle:
                 for j in range(count):
                     if not 0 <= j + move < count:
                         for m in range(p.shape[2]):
-                            result[i, (j + move) % count, m] += w * p[i, j, m]
+                            result[i, (j + move) % count, m] += weights[k] * p[i, j, m]

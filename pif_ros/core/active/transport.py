@@ -66,15 +66,19 @@ def heated(patch: Patch, variance: Array,
     window, p = patch.window, patch.density
     reach = [0 if circle else len(kernel) // 2
              for kernel, circle in zip(kernels, window.circles)]
-    if any(reach):
-        p = np.pad(p, [(k, k) for k in reach])
     for axis, kernel in enumerate(kernels):
-        circle = window.circles[axis]
-        if len(kernel) > 1 and compiled.is_available():
-            p = compiled.convolved(p, kernel, axis, circle)
-        elif len(kernel) > 1:
-            p = ndimage.convolve1d(p, kernel, axis, mode='wrap' if circle else 'constant')
+        if len(kernel) > 1:
+            p = _convolved(p, kernel, axis, window.circles[axis])
     return _placed(window, -np.array(reach), p)
+
+
+def _convolved(p: Array, kernel: Array, axis: int, circle: bool) -> Array:
+    """Return p with each cell shared along an axis, which grows by that unless it is a circle."""
+    if compiled.is_available():
+        return compiled.convolved(p, kernel, axis, circle)
+    if not circle:
+        p = np.pad(p, [(len(kernel) // 2 if i == axis else 0,) * 2 for i in range(p.ndim)])
+    return np.asarray(ndimage.convolve1d(p, kernel, axis, mode='wrap' if circle else 'constant'))
 
 
 def _without_margins(patch: Patch) -> Patch:
