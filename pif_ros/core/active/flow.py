@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 SMOOTH = 0.2
 #: States at which that rate is looked at, at most, along each axis.
 LOOKS = 5
+#: States that are carried at a time, which stay in the cache.
+CHUNK = 1 << 13
 
 
 def flow(model: StateModel, x: Array, from_ns: int, to_ns: int, controls: Controls,
@@ -25,13 +27,19 @@ def flow(model: StateModel, x: Array, from_ns: int, to_ns: int, controls: Contro
     rate: of parting, per second; classical Runge-Kutta, in steps that suit it, and that end where
     the control changes.
     """
-    for start_ns, end_ns, u in controls.between(from_ns, to_ns):
-        driven = model.under(u)
-        count = max(1, int(np.ceil((end_ns - start_ns) / NANOSECONDS * rate / SMOOTH)))
-        h = (end_ns - start_ns) / NANOSECONDS / count
-        for k in range(count):
-            x = _runge_kutta(driven, x, start_ns / NANOSECONDS + k * h, h)
-    return x
+    parts = [(model.under(u), start_ns / NANOSECONDS, (end_ns - start_ns) / NANOSECONDS)
+             for start_ns, end_ns, u in controls.between(from_ns, to_ns)]
+    flat = x.reshape(len(x), -1)
+    ends = np.empty_like(flat)
+    for k in range(0, flat.shape[1], CHUNK):
+        some = flat[:, k:k + CHUNK]
+        for driven, start, lasts in parts:
+            count = max(1, int(np.ceil(lasts * rate / SMOOTH)))
+            h = lasts / count
+            for step in range(count):
+                some = _runge_kutta(driven, some, start + step * h, h)
+        ends[:, k:k + CHUNK] = some
+    return ends.reshape(x.shape)
 
 
 def parting_rate(model: StateModel, window: Window, from_ns: int, to_ns: int,
