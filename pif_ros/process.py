@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Callable, Sequence
 import functools
 import os
@@ -20,7 +21,8 @@ class Signals:
     Becomes true at SIGINT or SIGTERM; a second one changes nothing.
 
     To be made before rclpy is imported, so that a signal during the start counts too; rclpy is to
-    be initialised with SignalHandlerOptions.NO.
+    be initialised with SignalHandlerOptions.NO.  When the interpreter ends it lets go of handlers
+    first and of modules then, which takes a while: in that time signals are ignored.
     """
 
     def __init__(self) -> None:
@@ -28,6 +30,7 @@ class Signals:
         self._received = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
+            atexit.register(signal.signal, number, signal.SIG_IGN)
 
     def __call__(self) -> bool:
         """Return whether the process was told to stop."""

@@ -2,6 +2,9 @@
 
 import os
 import signal
+import subprocess
+import sys
+from textwrap import dedent
 
 from pif_ros.process import explain, failed, logs_to_stdout, params_files, Signals, strangers
 import pytest
@@ -29,6 +32,24 @@ def test_any_number_of_signals_is_one_wish_to_stop(signals, numbers):
     for number in numbers:
         os.kill(os.getpid(), number)
     assert signals() and signals()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_interpreter_ends_changes_nothing(number):
+    # what a module holds is let go of when Python has already forgotten its own handlers
+    late = dedent(f"""
+        import os, signal
+        from pif_ros.process import Signals
+        stopped = Signals()
+        class Held:
+            def __del__(self, end=os.kill, me=os.getpid(), tell=os.write):
+                tell(1, b'ending')
+                end(me, {int(number)})
+                tell(1, b', ended')
+        held = Held()
+        """)
+    ended = subprocess.run([sys.executable, '-c', late], capture_output=True, timeout=60)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b'ending, ended', b'')
 
 
 def test_logs_go_to_stdout_unless_the_user_said_otherwise(monkeypatch):
