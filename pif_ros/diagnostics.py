@@ -44,7 +44,8 @@ class Facts:
     that the timer owed; behind: seconds for which there was more to do than could be done; faults:
     callbacks that failed; restarts: how often the belief was begun anew, and why at last;
     log_volume: of the grid; masses: those of the modes, as they were when they were last found;
-    active: whether it listens.
+    active: whether it listens; saved: how old the saved state is, and whether that went well, None
+    where none is kept.
     """
 
     tracker: Tracker[Any]
@@ -62,6 +63,7 @@ class Facts:
     log_volume: float = 0.0
     masses: Sequence[float] = ()
     active: bool = True
+    saved: tuple[str, bool] | None = None
 
 
 def statuses(facts: Facts) -> list[Status]:
@@ -84,6 +86,8 @@ def filter_status(facts: Facts) -> Status:
               'faults': str(facts.faults), 'restarts': str(facts.restarts)}
     if facts.why:
         values['last restart'] = facts.why
+    if facts.saved is not None:
+        values['state saved'] = facts.saved[0]
     if not facts.active:
         return Status('filter', OK, 'inactive: it does not listen until it is activated', values)
     if facts.now_ns is None:
@@ -100,6 +104,8 @@ def filter_status(facts: Facts) -> Status:
     text = 'tracks' if level == OK else f'no measurement for {age:.1f} s: predicts only'
     if facts.faults and level == OK:
         level, text = WARN, f'tracks, after {facts.faults} faults (the log tells)'
+    if facts.saved is not None and not facts.saved[1] and level == OK:
+        level, text = WARN, f'tracks, but its state is not saved: {facts.saved[0]}'
     return Status('filter', level, text, values)
 
 

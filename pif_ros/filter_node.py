@@ -203,7 +203,7 @@ class FilterNode(ManagedNode):
                      self.watch.summary(), self.watch.busy(), self.skipped,
                      time.monotonic() - since if since else 0.0, self.faults,
                      self.restarts + self.inbox.gaps,
-                     self._why, self._log_volume, masses, self.is_active)
+                     self._why, self._log_volume, masses, self.is_active, self._keeper.told())
 
     def is_due(self, now_ns: int) -> bool:
         """Return whether a pose is to be predicted to now."""

@@ -7,6 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import itertools
 import os
 from pathlib import Path
+import time
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,17 @@ class Keeper:
         self._pending: Future[None] | None = None
         self._mine: state_file.Mark | None = None
         self._last: tuple[Memory[Any], int] | None = None
+        self._saved: float | None = None
+        self._failure = ''
+
+    def told(self) -> tuple[str, bool] | None:
+        """Return how old what was saved is, and whether that went well; None without a file."""
+        if self.file is None:
+            return None
+        if self._failure:
+            return self._failure, False
+        return ('not yet' if self._saved is None else
+                f'{time.monotonic() - self._saved:.1f} s ago'), True
 
     def save(self, published_ns: int) -> str:
         """Save now, and return a line that says so; raise one of FAILURES where it cannot be."""
@@ -154,7 +166,8 @@ class Keeper:
         try:
             action()
         except FAILURES as error:
-            self._report('state', self.refusal(error))
+            self._failure = self.refusal(error)
+            self._report('state', self._failure)
 
     def _write(self, arrays: Arrays, state: tuple[Memory[Any], int]) -> None:
         assert self.file is not None
@@ -162,7 +175,7 @@ class Keeper:
         if there is not None and there != self._mine:
             _put_aside(self.file)
         self._mine = state_file.write(self.file, arrays, self._identity)
-        self._last = state
+        self._last, self._saved, self._failure = state, time.monotonic(), ''
 
 
 def _put_aside(file: Path) -> None:

@@ -27,11 +27,18 @@ _NODE = ['test/test_filter_node.py', 'test/test_control_in_the_node.py']
 LAYER = {
     'inbox': [*_NODE, 'test/test_filter_bank.py', 'test/test_proofs.py::'
               'test_a_share_of_what_is_proven_holds[fuzz]'],
+    'listener': [*_NODE, 'test/test_filter_bank.py'],
     'sources': ['test/test_sources.py', *_NODE],
+    'fields': ['test/test_fields.py', 'test/test_field_writer.py', 'test/test_sources.py', *_NODE],
+    'start': _NODE,
+    'timekeeper': _NODE,
     'accounts': ['test/test_accounts.py', *_NODE],
+    'verdicts': ['test/test_verdicts.py', 'test/test_gate_in_the_node.py', *_NODE],
     'parameters': ['test/test_parameters.py', *_NODE],
     'conversions': ['test/test_conversions.py', 'test/test_field_writer.py', *_NODE],
     'config/kinds': ['test/test_parameters.py', 'test/test_config.py'],
+    'core/guard': ['test/core/test_guard.py', 'test/test_guard_config.py',
+                   'test/test_gate_in_the_node.py'],
     'core/tracker': ['test/core/test_tracker.py', 'test/core/test_tracker_controls.py', *_NODE]}
 
 _COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt,

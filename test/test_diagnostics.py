@@ -230,3 +230,15 @@ def test_control_and_initial_pose_are_told_of_where_there_are_some():
     accounts.initial_pose.received = 1
     assert list(told(tracker_of(all_cells()), accounts)) == [
         'filter', 'belief', 'main', 'control', 'initialpose', 'timing']
+
+
+@pytest.mark.parametrize(('saved', 'level', 'words'), [
+    (None, OK, 'tracks'), (('3.0 s ago', True), OK, 'tracks'),
+    (('state_file: no room', False), WARN, 'not saved: state_file: no room')])
+def test_a_state_that_is_not_saved_is_a_concern(saved, level, words):
+    tracker = tracker_of(all_cells())
+    tracker.observe(Measurement(SECOND, 'main', (0.0, 1.0)))
+    tracker.estimate()
+    said = told(tracker, now_ns=SECOND, saved=saved)['filter']
+    assert said.level == level and words in said.message
+    assert said.values.get('state saved') == (saved and saved[0])

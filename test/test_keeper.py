@@ -288,3 +288,24 @@ def test_a_full_disk_is_told_and_tried_again(file, monkeypatch):
     monkeypatch.setattr(state_file, 'write', real)
     one.checkpoint()
     assert file.exists() and len(one.lines) == 1
+
+
+def test_it_tells_how_old_the_saved_state_is_and_that_saving_fails(tmp_path, monkeypatch):
+    assert Kept('').keeper.told() is None
+    folder = tmp_path / 'folder'
+    folder.mkdir()
+    one, now = Kept(folder / 'state'), [100.0]
+    monkeypatch.setattr('time.monotonic', lambda: now[0])
+    assert one.keeper.told() == ('not yet', True)
+    one.measure(0)
+    one.checkpoint()
+    now[0] += 12.5
+    assert one.keeper.told() == ('12.5 s ago', True)
+    folder.rename(tmp_path / 'elsewhere')
+    one.measure(1)
+    one.checkpoint()
+    text, is_well = one.keeper.told()
+    assert not is_well and 'No such file' in text and one.lines == [text]
+    (tmp_path / 'elsewhere').rename(folder)
+    one.checkpoint()
+    assert one.keeper.told() == ('0.0 s ago', True)
