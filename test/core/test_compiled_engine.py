@@ -125,6 +125,23 @@ def test_what_is_not_worth_carrying_is_left_out_and_no_more(without):
 
 
 @needs_a_compiler
+@pytest.mark.parametrize('seed', range(30))
+def test_whatever_an_operator_reaches_is_reached_where_most_cells_are_empty(seed):
+    rng, size = np.random.default_rng(seed), blocks.SPARED + 997
+    # near cells, some across a seam, others nowhere: whole tiles of rows take from none
+    rows = rng.choice(size, size // 3, replace=False)
+    rows = rows[(rows < 4000) | (rows > 9000)]
+    columns = (rows + rng.integers(-30, 31, len(rows))) % size
+    K = sparse.csr_array((rng.uniform(size=len(rows)), (rows, columns)), (size, size))
+    factors = BlockFactor.of(K), BlockFactor.of(K.T.tocsr())
+    p = np.zeros(size)
+    held = rng.choice(size, 50, replace=False)
+    p[held] = 10.0 ** rng.uniform(-20, 0, len(held))
+    np.testing.assert_allclose(blocks.product(factors, p), K.T @ (K @ p), rtol=1e-14, atol=0)
+    assert np.count_nonzero(K.T @ (K @ p)) > 3
+
+
+@needs_a_compiler
 def test_two_far_humps_are_carried_as_each_alone():
     grid = box(200)
     K = split_kernel(SYSTEM.model, grid, KernelSettings(0.01))
