@@ -54,7 +54,7 @@ class Target(FilterNode):
         """Return the stamp that an estimate is predicted to before it is published, or None."""
         stamp_ns = estimate.stamp_ns
         if (stamp_ns is None or stamp_ns >= self._published_ns
-                or self._is_left_to_the_timer(stamp_ns)):
+                or self._is_left_to_the_timer(stamp_ns, self._now())):
             return None
         return self._published_ns
 
@@ -112,7 +112,7 @@ class FilterBank(Node):
             raise ConfigError(parameters.mistyped(self)) from None
         self.faults = 0
         self._throttle = Throttle()
-        self._next_forecast: dict[float, float] = {}
+        self._next_forecast: dict[tuple[float, bool], float] = {}
         given, many = parameters.told(self), FilterOfMany()
         names = _targets(given.get(TARGETS))
         self.declare_parameter(TARGETS, names, ParameterDescriptor(
@@ -148,7 +148,10 @@ class FilterBank(Node):
     def finish(self) -> None:
         """Account for what still waits, and save what is to outlast the process."""
         for target in self.targets.values():
-            target.finish()
+            try:
+                target.finish()
+            except Exception as error:  # noqa: B902  the others are to be saved all the same
+                target.report('fault', f'finish: {type(error).__name__}: {error}')
 
     def report(self, kind: str, text: str) -> None:
         """Warn of something, at most one line of a kind every few seconds."""
@@ -180,20 +183,24 @@ class FilterBank(Node):
         self._foresee((target.tracker, target.lags(estimate)) for target, estimate in estimates)
         for target, estimate in estimates:
             target.tell(estimate)
+        for target, _ in estimates:
+            target.see_whether_lost()
         return [target for target, before in zip(busy, left)
                 if target.inbox.has_work and target.tracker.backlog < before]
 
     @guarded
-    def _on_timer(self, rate: float, targets: Sequence[Target]) -> None:
-        now_ns, began = targets[0].now(), time.monotonic()
-        if now_ns is None or began < self._next_forecast.get(rate, 0.0):
+    def _on_timer(self, group: tuple[float, bool], targets: Sequence[Target]) -> None:
+        # each is to see for itself that the clock was set
+        now_ns, *_ = [target.now() for target in targets]
+        began, (rate, _) = time.monotonic(), group
+        if now_ns is None or began < self._next_forecast.get(group, 0.0):
             return
         due = [target for target in targets if target.is_due(now_ns)]
         self._foresee((target.tracker, now_ns) for target in due)
         for target in due:
             target.forecast(now_ns)
         took = FORECASTS_TAKE * (time.monotonic() - began)
-        self._next_forecast[rate] = began + took if took * rate > 1 else 0.0
+        self._next_forecast[group] = began + took if took * rate > 1 else 0.0
 
     def _foresee(self, asked: Iterable[tuple[Member, int | None]]) -> None:
         try:
@@ -220,9 +227,11 @@ class FilterBank(Node):
         for target in self.targets.values():
             simulated = target.get_parameter('use_sim_time').value
             groups.setdefault((target.config.publish.rate, simulated), []).append(target)
-        for (rate, _), targets in groups.items():
+        for group, targets in groups.items():
+            rate, _ = group
             if rate:
-                targets[0].create_timer(1 / rate, functools.partial(self._on_timer, rate, targets),
+                targets[0].create_timer(1 / rate,
+                                        functools.partial(self._on_timer, group, targets),
                                         clock=targets[0].forecast_clock())
 
     def _speed(self) -> list[str]:

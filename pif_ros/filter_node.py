@@ -79,7 +79,7 @@ class FilterNode(ManagedNode):
     def finish(self) -> None:
         """Account for what still waits, and save what is to outlast the process."""
         if self.is_made:
-            self.drain()
+            self.inbox.account()
             self._resuming.finish()
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -107,6 +107,8 @@ class FilterNode(ManagedNode):
         now_ns, account = self._now(), self.accounts.initial_pose
         account.received += 1
         try:
+            if not self.is_active:
+                raise Refused('inactive', 'it is inactive')
             belief, stamp_ns = start_of(msg, self.tracker, self._outputs.pose_axes,
                                         self.config.frame_id, now_ns,
                                         self._published_ns - self._max_gap_ns)
@@ -134,9 +136,13 @@ class FilterNode(ManagedNode):
         self.get_logger().info(clock.text)
         if not self.is_made or clock.goes_on and not clock.by_ns:
             return
-        self.inbox.drain()
-        newest = self.tracker.estimate() if clock.goes_on else None
-        self._published_ns = -1
+        newest = None
+        if clock.goes_on:
+            for failed in self.inbox.settle():
+                self.faults += 1
+                self.report('fault', f'{type(failed.__cause__).__name__}: {failed}')
+            newest = self.tracker.newest
+        self._published_ns, self._since_ns = -1, 0
         for account in self.accounts:
             account.traffic.restart()
         if newest is None or newest.stamp_ns is None:
@@ -168,6 +174,11 @@ class FilterNode(ManagedNode):
             if estimate is not None:
                 self._publish(estimate)
         self._took = time.monotonic() - began
+        self.see_whether_lost()
+
+    @guarded
+    def see_whether_lost(self) -> None:
+        """Bring the watch over being lost up to the newest measurement, and tell what it sees."""
         with self.watch.timing('watch'):
             self.tracker.look()
         was_lost, self._lost = self._lost, self.tracker.newest.watch.lost
@@ -218,7 +229,7 @@ class FilterNode(ManagedNode):
         return now_ns > self._published_ns
 
     def drain(self) -> None:
-        """Account for what still waits."""
+        """Put what waits where it belongs, as far as the work can take it."""
         self.inbox.drain()
 
     def _recall(self, memory: Memory[Any], published_ns: int) -> None:
@@ -239,11 +250,13 @@ class FilterNode(ManagedNode):
 
     def _publish(self, estimate: Estimate[Any]) -> None:
         """Publish an estimate, but never with an older stamp than the last."""
-        if estimate.stamp_ns is None or not self.is_active:
+        restarts, now_ns = self.restarts, self._now()
+        # to ask for the time may show that the clock was set, and begin anew
+        if estimate.stamp_ns is None or not self.is_active or self.restarts != restarts:
             return
         stamp_ns = max(estimate.stamp_ns, self._published_ns)
         if estimate.stamp_ns < stamp_ns:
-            if self._is_left_to_the_timer(estimate.stamp_ns):
+            if self._is_left_to_the_timer(estimate.stamp_ns, now_ns):
                 return
             estimate = self.tracker.forecast(stamp_ns)
         belief = estimate.belief
@@ -256,9 +269,9 @@ class FilterNode(ManagedNode):
         with self.watch.timing('publish'):
             self._outputs.publish(belief, stamp_ns)
 
-    def _is_left_to_the_timer(self, stamp_ns: int) -> bool:
+    def _is_left_to_the_timer(self, stamp_ns: int, now_ns: int | None) -> bool:
         """Return whether an estimate lies so far back that predicting each to now takes long."""
-        rate, now_ns = self.config.publish.rate, self._now()
+        rate = self.config.publish.rate
         return bool(rate and now_ns is not None and now_ns > self._published_ns
                     and self._published_ns - stamp_ns > NANOSECONDS / rate)
 

@@ -14,11 +14,8 @@ from pif_ros.core.estimates import CorrectionFailed, Estimate, Measurement, Memo
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import Tracker
 from pif_ros.sources import Control, Inlet
-from pif_ros.verdicts import Verdicts
+from pif_ros.verdicts import FAR, surprise, Verdicts
 
-#: The belief hardly allows a measurement whose likelihood, averaged over the belief, is less than
-#: that of ten standard deviations.
-OUTLIER = -0.5 * 10**2
 #: Replays that have not come to an end for so long, in seconds, take nothing late any more.
 OVERLOAD = 5.0
 #: So many corrections of a replay are made before signals, services and messages have their turn.
@@ -89,32 +86,50 @@ class Inbox:
             return None
         self._burst_since = None
         if not self._tracker.backlog:
+            self.behind_since = None
             return None
-        began = time.monotonic()
+        began, left = time.monotonic(), self._tracker.backlog
         try:
-            estimate = self._tracker.estimate(at_most=min(self.slice, self._in_turn),
-                                              look=False)
+            estimate = self._corrected(min(self.slice, self._in_turn))
             # what one took, its prediction included, the next ones will take
-            took = (time.monotonic() - began) / len(self._tracker.corrections)
+            took = (time.monotonic() - began) / (left - self._tracker.backlog)
             self._in_turn = max(1, int(TURN / max(took, 1e-6)))
+        finally:
+            self.behind_since = (self.behind_since or time.monotonic()) if self.has_work else None
+        if self.has_work:
+            return None
+        news, self._news = self._news, False
+        return estimate if news else None
+
+    def settle(self) -> list[CorrectionFailed]:
+        """Work in all that waits, however long that takes, and return what could not be."""
+        failed = []
+        while self.has_work:
+            self._drain(math.inf)
+            try:
+                self._corrected(self._tracker.backlog)
+            except CorrectionFailed as failure:
+                failed.append(failure)
+        self.behind_since = None
+        return failed
+
+    def _corrected(self, at_most: int) -> Estimate[Any]:
+        """Return what is believed after some corrections, which are accounted for."""
+        try:
+            return self._tracker.estimate(at_most=at_most, look=False)
         except CorrectionFailed as failed:
-            account = self._account_of(failed.measurement)
-            self._verdicts.accept(failed.measurement)
-            account.judge_anew('fault', refused=True)
+            self._verdicts.fail(failed.measurement)
             self._unjudged.discard(failed.measurement)
             raise
         finally:
             self._judge()
-        if self.has_work:
-            self.behind_since = self.behind_since or time.monotonic()
-            return None
-        self.behind_since = None
-        news, self._news = self._news, False
-        return estimate if news else None
 
     def drain(self) -> None:
         """Put what waits in the queue where it belongs, as far as the work can take it."""
-        while self.queue and self._tracker.backlog < self._longest:
+        self._drain(self._longest)
+
+    def _drain(self, most: float) -> None:
+        while self.queue and self._tracker.backlog < most:
             inlet, item = self.queue.popleft()
             if self._is_overload(item.stamp_ns):
                 self.reject(inlet, 'overload', 'late, and the replays of late ones have not come '
@@ -137,17 +152,26 @@ class Inbox:
 
     def restart(self, belief: Any, stamp_ns: int | None) -> None:
         """Account for what waits, forget it, and start from a belief (None: the prior)."""
-        self.drain()
-        self._unjudged.clear()
-        self._verdicts.forget()
+        self.account()
+        self._forget()
         self._tracker.reset(belief, stamp_ns)
 
     def recall(self, memory: Memory[Any]) -> None:
         """Account for what waits, forget it, and go on from what a tracker remembered."""
         self.restart(None, None)
         self._tracker.recall(memory)
+        self._verdicts.disregard(memory.measurements)
         # what is believed then is worth telling, once it is known again
         self._news = True
+
+    def account(self) -> None:
+        """Put all that waits in the queue where it belongs."""
+        self._drain(math.inf)
+
+    def _forget(self) -> None:
+        self._unjudged.clear()
+        self._verdicts.forget()
+        self.behind_since = None
 
     def _is_overload(self, stamp_ns: int) -> bool:
         """Return whether what is late would keep replays going that never end."""
@@ -163,9 +187,8 @@ class Inbox:
             self._report('gap', f'{measurement.source}: a gap of {gap:.0f} s, more than '
                          'time.max_gap: back to the prior')
             self.gaps += 1
-            self._unjudged.clear()
-            self._verdicts.forget()
-            self._tracker.reset()
+            self._forget()
+            self._tracker.reset(steered_ns=measurement.stamp_ns)
 
     def _judge(self) -> None:
         """
@@ -174,7 +197,7 @@ class Inbox:
         What was replayed may have another verdict of the gate than before, and is counted anew.
         """
         for made in self._tracker.corrections:
-            measurement, surprise = made.measurement, made.log_evidence - made.log_peak
+            measurement = made.measurement
             self._verdicts.take(made)
             if measurement not in self._unjudged:
                 continue
@@ -186,17 +209,17 @@ class Inbox:
             if made.gated:
                 self._report(f'{measurement.source}: gate', f'{measurement.source}: rejected a '
                              f'measurement of which {made.tail:.2g} are as little expected')
-            elif surprise == -math.inf:
+            elif made.log_evidence == -math.inf:
                 self._report(f'{measurement.source}: off the grid', f'{measurement.source}: '
                              'rejected a measurement that no state of the belief allows')
-            elif surprise < OUTLIER:
-                self._account_of(measurement).outliers += 1
+            elif surprise(made) > FAR:
                 self._report(f'{measurement.source}: outlier', f'{measurement.source}: a '
-                             f'measurement about {math.sqrt(-2 * surprise):.0f} standard '
-                             'deviations from all that is believed')
+                             f'measurement about {surprise(made):.0f} standard deviations from '
+                             'all that is believed')
         self._tracker.corrections.clear()
-        if self._tracker.stamp_ns is not None:
-            self._verdicts.forget(self._tracker.stamp_ns - self._history_ns)
+        made_ns = self._tracker.newest.stamp_ns
+        if made_ns is not None:
+            self._verdicts.forget(made_ns - self._history_ns)
 
     def _account_of(self, measurement: Measurement) -> SourceAccount:
         return self._accounts.sources[measurement.source]

@@ -58,6 +58,8 @@ class Keeper:
         """Return how old what was saved is, and whether that went well; None without a file."""
         if self.file is None:
             return None
+        if self._pending is not None and self._pending.done():
+            self._settle()
         if self._failure:
             return self._failure, False
         return ('not yet' if self._saved is None else
@@ -69,6 +71,9 @@ class Keeper:
         file = self._known_file()
         try:
             self._submit(published_ns).result()
+        except FAILURES as error:
+            self._failure = self.refusal(error)
+            raise
         finally:
             self._pending = None
         return f'saved to {file}'
@@ -81,10 +86,10 @@ class Keeper:
         if self._last != (self._tracker.memory(), published_ns):
             self._attempt(lambda: self._submit(published_ns))
 
-    def close(self, published_ns: int) -> None:
-        """Save where there is a file, and let go of the thread."""
+    def close(self, published_ns: int | None) -> None:
+        """Save where there is a file, unless no stamp is given, and let go of the thread."""
         self._settle()
-        if self.file is not None:
+        if self.file is not None and published_ns is not None:
             self._attempt(lambda: self.save(published_ns))
         self._writer.shutdown()
 

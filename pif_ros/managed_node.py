@@ -102,11 +102,13 @@ class ManagedNode(LifecycleNode, ABC):
         return answer
 
     def _release(self) -> None:
-        self.finish()
-        self.is_active = False
-        if self.is_made:
-            self.is_made = False
-            self._destroy(self._before)
+        try:
+            self.finish()
+        finally:
+            self.is_active = False
+            if self.is_made:
+                self.is_made = False
+                self._destroy(self._before)
 
     def _entities(self) -> list[Any]:
         return [*self.publishers, *self.subscriptions, *self.services, *self.timers, *self.guards]

@@ -54,7 +54,10 @@ def run(name: str, make: Callable[[Sequence[str]], Sequence[Any]],
             executor.spin_once(timeout_sec=0.1)
         except Exception as error:  # noqa: B902  a peer's request can make rclpy itself raise
             first.report('rclpy', f'rclpy: {type(error).__name__}: {error}')
-    first.finish()
+    try:
+        first.finish()
+    except Exception as error:  # noqa: B902  a model can raise here too
+        first.report('fault', f'finish: {type(error).__name__}: {error}')
     first.get_logger().info(f'stopped; {first.accounts}')
     executor.shutdown()
     for node in nodes:

@@ -9,7 +9,8 @@ from pif_ros import interface
 from pif_ros.core.estimates import Memory
 from pif_ros.keeper import FAILURES, Keeper
 from pif_ros.process import guarded
-from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from pif_ros.state_file import StateRefused
+from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from std_srvs.srv import Trigger
 
@@ -34,6 +35,8 @@ class Resuming:
         if keeper.file is not None and period:
             node.create_timer(period, self._on_checkpoint,
                               clock=Clock(clock_type=ClockType.STEADY_TIME))
+        # rclpy's clock does not keep the handle that it calls: to be freed it must be unregistered
+        self._first_clock: JumpHandle | None = None
         if self._is_due and now() is None:
             self._first_clock = node.get_clock().create_jump_callback(
                 JumpThreshold(min_forward=Duration(nanoseconds=1), min_backward=None,
@@ -41,9 +44,11 @@ class Resuming:
         self._start()
 
     def finish(self) -> None:
-        """Save what is to outlast the node."""
-        self._is_due = False
-        self._keeper.close(self._published_ns())
+        """Save what is to outlast the node, but not over a state that was never gone on from."""
+        if self._first_clock is not None:
+            self._first_clock.unregister()
+        was_due, self._is_due = self._is_due, False
+        self._keeper.close(None if was_due else self._published_ns())
 
     def _start(self) -> None:
         """Go on from the state file where there is one, once the time is known."""
@@ -62,15 +67,22 @@ class Resuming:
 
     @guarded
     def _on_checkpoint(self) -> None:
-        self._keeper.checkpoint(self._published_ns())
+        if not self._is_due:
+            self._keeper.checkpoint(self._published_ns())
 
     @guarded
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._told(lambda: self._keeper.save(self._published_ns()), response)
+        return self._told(self._save, response)
 
     @guarded
     def _on_load(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._told(self._load, response)
+
+    def _save(self) -> str:
+        """Save, and return a line that says so."""
+        if self._is_due:
+            raise StateRefused('expected a /clock first, to go on from the file that is there')
+        return self._keeper.save(self._published_ns())
 
     def _load(self) -> str:
         """Go on from the state file, and return a line that says so."""

@@ -217,12 +217,12 @@ def _mark(status: os.stat_result) -> Mark:
 
 def _sync_folder(folder: Path) -> None:
     """Let the disk know of a new name, where folders can be told so."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
             os.fsync(handle)
-    finally:
-        os.close(handle)
+        finally:
+            os.close(handle)
 
 
 def _whole(digits: str) -> int:

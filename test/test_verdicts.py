@@ -61,7 +61,7 @@ MEASUREMENTS = st.lists(
 
 @given(MEASUREMENTS, st.randoms(use_true_random=False))
 @settings(max_examples=60, deadline=None)
-def test_the_sums_always_hold_and_in_the_end_what_is_gated_is_that_of_arrival_in_order(
+def test_the_sums_always_hold_and_in_the_end_what_is_refused_is_that_of_arrival_in_order(
         seen, random):
     inbox, sources, _, put = inbox_of()
     random.shuffle(seen)
@@ -96,7 +96,7 @@ def test_a_late_measurement_clears_one_that_was_rejected_without_it():
     check_sums(inbox, sources)
 
 
-def test_one_at_which_a_sensor_raises_in_a_replay_is_a_fault_and_no_longer_gated():
+def test_one_at_which_a_sensor_raises_in_a_replay_is_a_fault_and_no_longer_refused():
     inbox, sources, _, put = inbox_of()
     gated = Measurement(SECOND, 'far', (5.0,))
     put(Measurement(0, 'near', (0.5,)))
@@ -145,4 +145,4 @@ def test_what_no_replay_can_reach_is_forgotten():
         verdicts.take(Correction(Measurement(k, 'near', (0.0,)), -40.0, 0.0, 0.0, True))
         verdicts.forget(k - 10)
     assert accounts['near'].rejected['gate'] == 100 * ROOM and accounts['near'].accepted == 0
-    assert len(verdicts._gated) <= 2 * ROOM
+    assert len(verdicts._found) <= 2 * ROOM

@@ -51,8 +51,15 @@ class Tracker(Generic[Belief]):
         self._memory = memory
         self.reset()
 
-    def reset(self, belief: Belief | None = None, stamp_ns: int | None = None) -> None:
-        """Forget what was taken, and start from a belief (the prior where none is given)."""
+    def reset(self, belief: Belief | None = None, stamp_ns: int | None = None,
+              steered_ns: int | None = None) -> None:
+        """
+        Forget what was taken, and start from a belief (the prior where none is given).
+
+        steered_ns: a stamp; the controls that may hold there, and later ones, are kept.
+        """
+        kept = [] if steered_ns is None else [
+            control for control in self._steered if control[0] >= steered_ns - self._hold_ns]
         self._anchor = Estimate(stamp_ns, self.prior if belief is None else belief)
         self._anchored: Measurement | None = None
         self._timeline: list[Measurement] = []
@@ -62,7 +69,7 @@ class Tracker(Generic[Belief]):
         self._unwatched: list[tuple[Belief, Measurement]] = []
         self._largest = 0
         self._rung: tuple[Estimate[Belief], int, Belief] | None = None
-        self._steered: list[tuple[int, tuple[float, ...]]] = []
+        self._steered: list[tuple[int, tuple[float, ...]]] = kept
         self._controls: Controls | None = None
 
     def memory(self) -> Memory[Belief]:

@@ -34,7 +34,9 @@ def parting(patch: Patch, moves: Moves) -> Integers:
         if move.shape[axis + 1] == 1 < p.shape[axis]:
             often.append(0)
             continue
-        apart = np.abs(np.diff(move, axis=axis + 1)).max(axis=0)
+        apart = np.abs(np.diff(move, axis=axis + 1))
+        # what the drift does not tell is lost, wherever its neighbour goes
+        apart = np.where(np.isfinite(apart), apart, 0.0).max(axis=0)
         both = np.delete(heavy, 0, axis) & np.delete(heavy, -1, axis)
         furthest = float(np.where(both, apart, 0.0).max(initial=0.0))
         often.append(max(0, int(np.ceil(np.log2(max(furthest, 1e-9) / NEAR)))))

@@ -158,6 +158,8 @@ def deposited(patch: Patch, move: Array, spread: Array) -> Patch:
     """
     window, p = patch.window, patch.density
     move, p = _sound(window, move, p)
+    if not p.max() > 0:
+        return Patch(window, np.zeros(p.shape))
     least = NOTHING * float(p.max())
     if compiled.is_available():
         return _placed(window, *compiled.share(
@@ -177,12 +179,18 @@ def _sound(window: Window, move: Array, p: Array) -> tuple[Array, Array]:
     """
     Return moves that are finite and no longer than the world, and what is moved by such.
 
-    What the drift does not tell, or carries further than that, is lost to the world anyway.
+    What the drift does not tell, or carries further than that, is lost to the world anyway; round
+    a circle it is as if all had gone some whole turns less.
     """
     longest = np.array(window.cells).reshape(-1, *(1,) * p.ndim) + 3.0
     sound = np.abs(move) <= longest
     if sound.all():
         return move, p
+    move = move.copy()
+    for axis in np.flatnonzero(window.base.periodic):
+        finite, turn = move[axis][np.isfinite(move[axis])], window.cells[axis]
+        if len(finite):
+            move[axis] -= turn * np.rint(np.median(finite) / turn)
     defined = np.broadcast_to(np.isfinite(move).all(axis=0), p.shape)
     return np.clip(np.nan_to_num(move), -longest, longest), np.where(defined, p, 0.0)
 
