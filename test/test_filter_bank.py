@@ -2,7 +2,7 @@
 
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 import numpy as np
-from pif_ros import interface
+from pif_ros import interface, timekeeper
 from pif_ros.config import build_tracker, Config, ConfigError
 from pif_ros.core.batch import Batch
 from pif_ros.core.estimates import Measurement
@@ -324,3 +324,44 @@ def test_what_is_meant_for_the_targets_is_refused_where_only_the_bank_is_told(
                        '/filter_bank$'):
         FilterBank(context=graph.context, use_global_arguments=False,
                    cli_args=['--ros-args', '--params-file', str(path)])
+
+
+def test_a_target_that_is_lost_says_so(graph, make):
+    bank = make({**PLANE, 'recovery.when_lost': True}, ['alpha'])
+    [target] = bank.targets.values()
+    was_lost, said, report = [], [], target.report
+    target.report = lambda kind, text: (said.append(kind), report(kind, text))
+    for k in range(20):
+        measure(bank, 'alpha', T + k * MS, 0.5, -0.5)
+        work(bank)
+    for k in range(12):
+        measure(bank, 'alpha', T + (30 + k) * MS, -2.0, 2.5)
+        work(bank)
+        was_lost.append(target.tracker.newest.watch.lost)
+    assert True in was_lost and said.count('lost') == 1
+
+
+def test_no_target_is_predicted_to_a_clock_that_was_set_before_it_has_seen_that(
+        graph, make, monkeypatch):
+    bank = make({**PLANE, 'publish.rate': 20.0, 'diagnostics.rate': 0.0}, ['alpha', 'bravo'])
+    now_ns = bank.targets['alpha'].now()
+    for name, target in bank.targets.items():
+        target.now()
+        measure(bank, name, now_ns, 0.5, -0.5)
+    work(bank)
+    steady = timekeeper.steady_ns
+    monkeypatch.setattr(timekeeper, 'steady_ns', lambda: steady() - 3 * SECOND)
+    bank._on_timer((20.0, False), list(bank.targets.values()))
+    assert [target.restarts for target in bank.targets.values()] == [1, 1]
+
+
+def test_after_a_gap_a_target_begins_from_the_prior_as_a_node_does(graph, make):
+    bank = make({**PLANE, 'time.max_gap': 10.0}, ['alpha'])
+    [target] = bank.targets.values()
+    for stamp_ns in (T, T + 100 * SECOND):
+        measure(bank, 'alpha', stamp_ns, 0.1, -0.2)
+        work(bank)
+    one = alone()
+    one.observe(Measurement(T + 100 * SECOND, 'main', (0.1, -0.2)))
+    assert target.inbox.gaps == 1
+    assert_same_bits(target.tracker, one)

@@ -2,6 +2,7 @@
 
 import time
 
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from pif_ros.config import ConfigError
@@ -139,3 +140,23 @@ def test_a_cleaned_up_node_saves_its_state_and_goes_on_from_it(graph, tmp_path):
     assert manager.ask(Transition.TRANSITION_CLEANUP)
     assert manager.ask(Transition.TRANSITION_CONFIGURE)
     check_same(rig.node.tracker.estimate().belief, believed)
+
+
+def test_what_was_made_is_let_go_of_though_its_end_fails(graph):
+    node = graph.filter_node(MANAGED)
+    bare = entities(node)
+    node.trigger_configure()
+    once = entities(node)
+    node._keeper.close = lambda published_ns: 1 / 0
+    node.trigger_cleanup()
+    assert not node.is_made and entities(node) == bare
+    node.trigger_configure()
+    assert node.is_made and entities(node) == once
+
+
+def test_while_it_is_inactive_nobody_sets_it_down(graph):
+    node = graph.filter_node(PLANE)
+    node.trigger_deactivate()
+    node._on_initial_pose(PoseWithCovarianceStamped())
+    account = node.accounts.initial_pose
+    assert (account.received, account.rejected) == (1, {'inactive': 1}) and not node.restarts

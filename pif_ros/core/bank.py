@@ -18,9 +18,10 @@ from pif_ros.core.tracker import Tracker
 class Member(Tracker[Any]):
     """A tracker that takes predictions which were made elsewhere, together with others'."""
 
-    def reset(self, belief: Any = None, stamp_ns: int | None = None) -> None:
-        """Forget what was taken, and start from a belief (the prior where none is given)."""
-        super().reset(belief, stamp_ns)
+    def reset(self, belief: Any = None, stamp_ns: int | None = None,
+              steered_ns: int | None = None) -> None:
+        """Forget what was taken, and start from a belief, as Tracker.reset() says."""
+        super().reset(belief, stamp_ns, steered_ns)
         self._foreseen: tuple[Estimate[Any], int, Any] | None = None
 
     @property

@@ -177,7 +177,7 @@ def _held_tiles(p):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 def _corrected(p, holds, cell_volume, result):  # type: ignore[no-untyped-def]
     # pragma: no cover
-    """Write the posterior over the log likelihood, which is where a tile holds anything, else 0."""
+    """Write the posterior over the log likelihood, which is 0 where a tile holds nothing."""
     best, sums = np.full(128, -np.inf), np.zeros(128)
     for tile in range(holds.size):
         if holds[tile]:

@@ -1,6 +1,7 @@
 """The filter that works where the belief is: against exact answers and the filter on all cells."""
 
 import dataclasses
+import math
 
 import numpy as np
 from oracles import linear_moments
@@ -320,3 +321,29 @@ def test_a_sensor_that_sees_some_states_says_what_it_would_cell_by_cell():
     # cells of next to no mass may be averaged over by the one and not by the other
     np.testing.assert_allclose(a.on(world, (0, 1, 2)).density, b.on(world, (0, 1, 2)).density,
                                atol=1e-9)
+
+
+@pytest.mark.parametrize('turns', [0.25, 1.0, 1.25, 2.5, -1.5])
+def test_round_a_circle_a_step_may_go_any_number_of_turns(way, turns):
+    circle = Grid((-np.pi,), (np.pi,), (64,), (True,))
+    model = StateModel(('heading',), lambda x, t: np.full_like(x, 2 * np.pi * turns),
+                       0.2 * np.eye(1))
+    filter_ = ActiveGridFilter(model, circle, {}, 1.0)
+    ended = filter_.predict(filter_.gaussian([-1.0], [[0.05]]), 0, SECOND)
+    expected = (-1.0 + 2 * np.pi * turns + np.pi) % (2 * np.pi) - np.pi
+    assert ended.mean()[0] == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize('bad', [np.nan, np.inf])
+@pytest.mark.parametrize(('centre', 'noise'), [(1.5, 0.05), (1.5, 0.7), (7.0, 0.7), (7.0, 0.05)])
+def test_what_the_drift_does_not_tell_is_lost_and_nothing_else(way, bad, centre, noise):
+    world = Grid((-10.0, -10.0), (10.0, 10.0), (80, 80))
+
+    model = StateModel(('x', 'y'), lambda x, t: np.where(x[0] > 2.0, bad, np.zeros_like(x)),
+                       noise * np.eye(2))
+    filter_ = ActiveGridFilter(model, world, {}, 0.1)
+    before = filter_.gaussian([centre, 0.0], 0.3 * np.eye(2))
+    after = filter_.predict(before, 0, SECOND // 10)
+    known = 0.5 * (1 + math.erf((2.0 - centre) / math.sqrt(0.6)))
+    assert after.mass == pytest.approx(known, abs=0.06)
+    assert after.mass + after.dropped == pytest.approx(1.0, abs=1e-4)

@@ -3,23 +3,14 @@
 import itertools
 
 import numpy as np
-from pif_ros.core.active import compiled
 from pif_ros.core.active.belief import ActiveBelief, Patch
 from pif_ros.core.active.transport import deposited, heated, moved, noise_kernel
 from pif_ros.core.active.window import Window
 from pif_ros.core.grid import Grid
 import pytest
 
-#: With the loops compiled, where they can be, and without.
-WAYS = [pytest.param(True, marks=pytest.mark.skipif(
-    not compiled.is_available(), reason='numba is not installed')), False]
+pytestmark = pytest.mark.usefixtures('way')
 WORLD = Grid((-10.0, -10.0, -np.pi), (10.0, 10.0, np.pi), (40, 50, 24), (False, False, True))
-
-
-@pytest.fixture(params=WAYS, ids=['compiled', 'plain'], autouse=True)
-def way(request, monkeypatch):
-    """Run a test with the loops compiled, and once more without."""
-    monkeypatch.setattr(compiled, 'is_available', lambda: request.param)
 
 
 def patch_of(rng, level=(0, 1, 0), offset=(12, 40, 20), shape=(6, 7, 8)):

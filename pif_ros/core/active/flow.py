@@ -42,6 +42,7 @@ def flow(model: StateModel, x: Array, from_ns: int, to_ns: int, controls: Contro
     return ends.reshape(x.shape)
 
 
+@np.errstate(invalid='ignore')
 def parting_rate(model: StateModel, window: Window, from_ns: int, to_ns: int,
                  controls: Controls) -> float:
     """

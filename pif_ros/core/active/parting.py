@@ -25,6 +25,7 @@ MOST = 2
 LIGHT = 1e-3
 
 
+@np.errstate(invalid='ignore')
 def parting(patch: Patch, moves: Moves) -> Integers:
     """Return how often each axis is to be halved so that neighbours keep together, (n,)."""
     move, p = moves(patch.window), patch.density

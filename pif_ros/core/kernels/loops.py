@@ -60,8 +60,9 @@ def move_mass(weights: Array, moves: NDArray[np.int32], pointers: NDArray[np.int
     """
     Write the same to zeros, where anything comes from blocks that hold something; return its held.
 
-    p is cleared, to be written next. spans: the first and the last cell that each TILE of blocks takes from, (tiles, 2); held: how
-    many blocks of p hold something before each one, (blocks + 1,).
+    p is cleared, to be written next.  spans: the first and the last cell that each TILE of blocks
+    takes from, (tiles, 2); held: how many blocks of p hold something before each one,
+    (blocks + 1,).
     """
     reached = np.zeros_like(held)
     _loops(weights.itemsize)[2](weights, moves, pointers, spans, p, reach, held, result, reached)
@@ -193,7 +194,7 @@ def _move_all(weights, moves, pointers, p, reach, room):  # type: ignore[no-unty
 
 def _move_mass(weights, moves, pointers, spans, p, reach, held,  # type: ignore[no-untyped-def]
                result, reached):  # pragma: no cover
-    """Write a vector after an operator in blocks where something comes, tell where, and clear p."""
+    """Write a vector after an operator where something comes, tell where that is, and clear p."""
     blocks, margin = pointers.size - 1, reach // 8
     for tile in range(spans.shape[0]):
         begin, end = 64 * tile, min(64 * tile + 64, blocks)
