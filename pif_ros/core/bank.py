@@ -20,7 +20,7 @@ class Member(Tracker[Any]):
 
     def reset(self, belief: Any = None, stamp_ns: int | None = None,
               steered_ns: int | None = None) -> None:
-        """Forget what was taken, and start from a belief, as Tracker.reset() says."""
+        """Forget what was taken, and what was foreseen with it, and start from a belief."""
         super().reset(belief, stamp_ns, steered_ns)
         self._foreseen: tuple[Estimate[Any], int, Any] | None = None
 

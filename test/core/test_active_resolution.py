@@ -2,6 +2,7 @@
 
 import numpy as np
 from pif_ros.core.active.belief import ActiveBelief, Patch
+from pif_ros.core.active.focus import _inside
 from pif_ros.core.active.resolution import halved, paired, widths
 from pif_ros.core.active.window import Window
 from pif_ros.core.grid import Grid
@@ -99,3 +100,52 @@ def test_the_width_is_that_of_the_shape_however_little_of_it_is_left():
     p = np.ones(PLANE.shape)
     assert widths(Patch(Window.whole(PLANE), 1e-310 * p)) == pytest.approx(
         widths(Patch(Window.whole(PLANE), p)))
+
+
+def around(patch):
+    """Return what lies in each cell of the circle that a patch is on."""
+    [cells], [first] = patch.window.cells, patch.window.offset
+    found = np.zeros(cells)
+    np.add.at(found, (first + np.arange(len(patch.density))) % cells, patch.density)
+    return found
+
+
+@pytest.mark.parametrize('count', [5, 23, 24, 25, 47, 48, 60])
+@pytest.mark.parametrize('first', [0, 17, 24, -5, 100])
+def test_what_goes_round_a_circle_comes_to_lie_on_it(first, count):
+    circle = Grid((0.0,), (2 * np.pi,), (12,), (True,))
+    p = np.random.default_rng(count).random(count)
+    patch = Patch.at(circle, (1,), (first,), p)
+    assert patch.density.shape == patch.window.shape
+    wanted = np.zeros(24)
+    np.add.at(wanted, (first + np.arange(count)) % 24, p)
+    np.testing.assert_allclose(around(patch), wanted, rtol=1e-14)
+
+
+@pytest.mark.parametrize('count', range(15, 25))
+@pytest.mark.parametrize('change', [halved, paired])
+def test_next_to_all_of_a_circle_is_changed_as_any_part_of_it_is(change, count):
+    circle = Grid((0.0,), (2 * np.pi,), (12,), (True,))
+    p = np.sin(np.pi * (np.arange(count) + 0.5) / count)**2
+    before = Patch.at(circle, (1,), (17,), p)
+    after = change(before, 0)
+    assert after.density.shape == after.window.shape
+
+    def moment(patch, k):
+        cells = patch.window.cells[0]
+        turn = np.exp(2j * np.pi * k * (np.arange(cells) + 0.5) / cells)
+        return around(patch) @ turn * patch.window.spacing[0]
+
+    assert moment(after, 0) == pytest.approx(moment(before, 0), rel=1e-12)
+    # to be joined takes a twelfth of a squared cell's part of the first harmonic
+    assert abs(moment(after, 1) - moment(before, 1)) < 0.02 * moment(before, 0).real
+
+
+@pytest.mark.parametrize('count', range(15, 25))
+def test_what_is_taken_out_of_a_circle_stays_where_it_was(count):
+    circle = Grid((0.0,), (2 * np.pi,), (12,), (True,))
+    whole = Patch(Window(circle, (1,), (0,), (24,)), np.random.default_rng(count).random(24))
+    part = _inside(whole, Window(circle, (1,), (17,), (count,)))
+    taken = around(part) > 0
+    assert taken.sum() == min(count + 4, 24)
+    np.testing.assert_array_equal(around(part)[taken], whole.density[taken])

@@ -16,6 +16,7 @@ from pif_ros.core.modes import densest, Mode, modes, MOST, NEARLY_ALL, Pieces, S
 from scipy import special
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +25,20 @@ class Patch:
 
     window: Window
     density: Array
+
+    @classmethod
+    def at(cls, base: Grid, level: Sequence[int], first: Sequence[int] | Integers,
+           density: Array) -> Patch:
+        """Return a density from a first cell on; round a circle its ends come to lie together."""
+        for axis, round_ in enumerate(base.periodic):
+            cells, count = base.shape[axis] << level[axis], density.shape[axis]
+            if round_ and count >= cells:
+                after = -count % cells
+                density = np.pad(density, [(0, after if i == axis else 0)
+                                           for i in range(density.ndim)])
+                turns = density.reshape(*density.shape[:axis], -1, cells, *density.shape[axis + 1:])
+                density = np.roll(turns.sum(axis=axis), int(first[axis]), axis)
+        return cls(Window.of(base, level, first, density.shape), density)
 
     @cached_property
     def mass(self) -> float:

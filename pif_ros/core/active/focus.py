@@ -92,4 +92,4 @@ def _inside(patch: Patch, window: Window) -> Patch:
         places.append(cells)
         first.append(patch.window.offset[axis] + start - 2)
     density = patch.density[np.ix_(*places)]
-    return Patch(Window.of(window.base, window.level, first, density.shape), density)
+    return Patch.at(window.base, window.level, first, density)

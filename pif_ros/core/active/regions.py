@@ -115,7 +115,7 @@ def _thick(window: Window, first: list[int], density: Array) -> Patch:
                                        for i in range(density.ndim)])
             first[axis] -= more[0]
     density = np.ascontiguousarray(density)
-    return Patch(Window.of(window.base, window.level, first, density.shape), density)
+    return Patch.at(window.base, window.level, first, density)
 
 
 def _kept(p: Array, negligible: float) -> Mask:

@@ -92,4 +92,4 @@ def _changed(patch: Patch, axis: int, by: int, first: int, density: Array) -> Pa
     level[axis] += by
     offset[axis] = first
     density = np.ascontiguousarray(np.moveaxis(density, 0, axis))
-    return Patch(Window.of(window.base, level, offset, density.shape), density)
+    return Patch.at(window.base, level, offset, density)

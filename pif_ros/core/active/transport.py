@@ -227,5 +227,4 @@ def _shared(places: list[Array], mass: Array, spread: Array, window: Window, fir
 
 def _placed(window: Window, first: Integers, density: Array) -> Patch:
     """Return a density whose first cell is so many cells from the window's."""
-    return Patch(Window.of(window.base, window.level, np.array(window.offset) + first,
-                           density.shape), density)
+    return Patch.at(window.base, window.level, np.array(window.offset) + first, density)
