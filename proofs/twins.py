@@ -57,7 +57,7 @@ class Twin:
             else:
                 newest_ns = self.tracker.stamp_ns
                 if newest_ns is not None and sent.stamp_ns - newest_ns > self._max_gap_ns:
-                    self.tracker.reset()
+                    self.tracker.reset(steered_ns=sent.stamp_ns)
                 rejection = self.tracker.observe(
                     Measurement(sent.stamp_ns, source, sent.values))
             self.counts[source, rejection.value if rejection else 'accepted'] += 1
