@@ -33,10 +33,10 @@ class Patch:
         for axis, round_ in enumerate(base.periodic):
             cells, count = base.shape[axis] << level[axis], density.shape[axis]
             if round_ and count >= cells:
-                after = -count % cells
-                density = np.pad(density, [(0, after if i == axis else 0)
-                                           for i in range(density.ndim)])
-                turns = density.reshape(*density.shape[:axis], -1, cells, *density.shape[axis + 1:])
+                before, beyond = density.shape[:axis], density.shape[axis + 1:]
+                missing = np.zeros((*before, -count % cells, *beyond))
+                turns = np.concatenate([density, missing], axis).reshape(
+                    *before, -1, cells, *beyond)
                 density = np.roll(turns.sum(axis=axis), int(first[axis]), axis)
         return cls(Window.of(base, level, first, density.shape), density)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.active.belief import Patch
-from pif_ros.core.active.window import Window
 
 Array = NDArray[np.float64]
 
