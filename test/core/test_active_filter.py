@@ -5,7 +5,9 @@ import math
 
 import numpy as np
 from oracles import linear_moments
-from pif_ros.core.active import ActiveGridFilter, compiled, RegionSettings
+from pif_ros.core.active import ActiveBelief, ActiveGridFilter, compiled, RegionSettings
+from pif_ros.core.active.belief import Patch
+from pif_ros.core.active.window import Window
 from pif_ros.core.controls import Controls
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
@@ -347,3 +349,16 @@ def test_what_the_drift_does_not_tell_is_lost_and_nothing_else(way, bad, centre,
     known = 0.5 * (1 + math.erf((2.0 - centre) / math.sqrt(0.6)))
     assert after.mass == pytest.approx(known, abs=0.06)
     assert after.mass + after.dropped == pytest.approx(1.0, abs=1e-4)
+
+
+def test_what_is_left_of_a_belief_at_the_edge_of_the_world_stays_to_the_last_plane():
+    world = Grid((0.0, 0.0), (20.0, 20.0), (20, 20))
+    shift = StateModel(('x', 'y'), lambda x, t: np.stack([np.full_like(x[0], 7.0), 0 * x[1]]),
+                       np.zeros((2, 1)))
+    filter_ = ActiveGridFilter(shift, world, {}, 1.0, region=RegionSettings(finest=0))
+    p = np.zeros((20, 20))
+    p[12:16, 8:12] = 1 / 16
+    # the first column comes to lie on the last of the world, three others beyond
+    belief = filter_.predict(ActiveBelief(world, (Patch(Window.whole(world), p),)), 0, SECOND)
+    assert belief.mass == pytest.approx(1 / 4, rel=1e-6)
+    assert belief.mean() == pytest.approx([19.5, 10.0])

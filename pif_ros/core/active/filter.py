@@ -12,6 +12,7 @@ from pif_ros.core.active.compiled import warm_up
 from pif_ros.core.active.flow import flow, parting_rate
 from pif_ros.core.active.focus import fitted, focused
 from pif_ros.core.active.parting import MOST, moved_on_finer, parting
+from pif_ros.core.active.regions import thick
 from pif_ros.core.active.settings import RegionSettings
 from pif_ros.core.active.transport import Moves, Noise, SPREAD
 from pif_ros.core.active.window import Window
@@ -295,9 +296,8 @@ def _in_the_world(patch: Patch) -> Patch | None:
     for offset, count, cells, round_ in zip(window.offset, window.shape, window.cells,
                                             window.base.periodic):
         low, high = (0, count) if round_ else (max(-offset, 0), min(count, cells - offset))
-        if high - low < 2:
+        if high - low < 1:
             return None
         box.append(slice(low, high))
         first.append(offset + low)
-    density = np.ascontiguousarray(patch.density[tuple(box)])
-    return Patch(Window.of(window.base, window.level, first, density.shape), density)
+    return thick(window, first, patch.density[tuple(box)])

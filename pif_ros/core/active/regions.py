@@ -102,10 +102,10 @@ def _cut(patch: Patch, negligible: float) -> Iterator[Patch]:
     for box in _boxes(kept):
         window = patch.window
         first = [start + part.start for start, part in zip(window.offset, box)]
-        yield _thick(window, first, patch.density[box])
+        yield thick(window, first, patch.density[box])
 
 
-def _thick(window: Window, first: list[int], density: Array) -> Patch:
+def thick(window: Window, first: list[int], density: Array) -> Patch:
     """Return a patch of two cells each way at least, the second of which may be empty."""
     for axis, count in enumerate(density.shape):
         if count == 1:

@@ -147,8 +147,12 @@ def axis_moments(drift: Array, slope: Array, curvature: Array,
     and g eps (1 + eps f'); for a linear drift they are exact  [Shoji and Ozaki 1998].
     """
     z = np.minimum(slope, GROWTH)
-    mean = drift * _phi_1(z) + variance * curvature / 2 * _phi_2(z)
-    return mean, variance * _phi_1(2 * z)
+    grown, safe = np.expm1(z), np.where(np.abs(z) < 1e-8, 1.0, z)
+    # (exp(z) - 1) / z, (exp(z) - 1 - z) / z^2, and the first of 2 z
+    first = np.where(safe == z, grown / safe, 1 + z / 2)
+    second = np.where(np.abs(z) < 1e-3, 0.5 + z / 6 + z * z / 24, (first - 1) / safe)
+    mean = drift * first + variance * curvature / 2 * second
+    return mean, variance * first * (1 + grown / 2)
 
 
 def _axis_moments(model: StateModel, grid: Grid, settings: KernelSettings, t: float,
@@ -241,17 +245,3 @@ def _check_finite(drift: Array, grid: Grid, axis: int) -> None:
         at = int(np.argmax(undefined))
         raise ValueError(f'drift: expected finite numbers in every cell, got {drift[at]} on axis '
                          f'{axis} at {grid.points[:, at].tolist()}')
-
-
-def _phi_1(z: Array) -> Array:
-    """Return (exp(z) - 1) / z."""
-    small = np.abs(z) < 1e-8
-    safe = np.where(small, 1.0, z)
-    return np.where(small, 1 + z / 2, np.expm1(safe) / safe)
-
-
-def _phi_2(z: Array) -> Array:
-    """Return (exp(z) - 1 - z) / z^2."""
-    small = np.abs(z) < 1e-3
-    safe = np.where(small, 1.0, z)
-    return np.where(small, 0.5 + z / 6 + z * z / 24, (np.expm1(safe) - safe) / safe**2)
