@@ -167,10 +167,12 @@ def product(factors: Sequence[BlockFactor], density: Any) -> Any:
     size, reach = factors[0].size, max(factor.reach for factor in factors)
     # room on either side for what is weighed with zero
     room = -(-size // loops.LANES) * loops.LANES + 2 * reach
-    p, moved = (np.zeros(room, factors[0].dtype) for _ in range(2))
-    held = loops.take(density, LEAST_SHARE, p, reach) if size >= SPARED else None
-    if held is None or held[-1] * loops.LANES > MOST_HELD * size:
-        held, p[reach:reach + size] = None, density
+    p = np.zeros(room, factors[0].dtype)
+    held = loops.take(density, LEAST_SHARE, MOST_HELD, p, reach) if size >= SPARED else None
+    if held is None:
+        p[reach:reach + size], moved = density, np.empty_like(p)
+    else:
+        moved = np.zeros(room, p.dtype)
     for factor in factors:
         operator = factor.weights, factor.moves, factor.pointers
         if held is None:

@@ -69,17 +69,18 @@ def move_mass(weights: Array, moves: NDArray[np.int32], pointers: NDArray[np.int
     return reached
 
 
-def take(density: Array, share: float, p: Array, reach: int) -> Counts:
+def take(density: Array, share: float, most: float, p: Array, reach: int) -> Counts | None:
     """
     Write the blocks of a vector (cells,) that hold anything to zeros (reach + cells + reach,).
 
-    These have more than a share of the largest; returns how many there are before each block.
+    These have more than a share of the largest; returns how many there are before each block, and
+    None, with nothing written, where they are more than a share of all, most.
     """
     held = np.zeros(len(p) // LANES + 1, np.int32)
     peaks = np.empty(-(-len(density) // (LANES * TILE)), p.dtype)
-    _loops(p.itemsize)[3](np.ascontiguousarray(density, dtype=p.dtype), share, peaks, p, reach,
-                          held)
-    return held
+    taken = _loops(p.itemsize)[3](np.ascontiguousarray(density, dtype=p.dtype), share, most, peaks,
+                                  p, reach, held)
+    return held if taken else None
 
 
 def narrow(density: NDArray[np.float64], share: float) -> tuple[NDArray[np.float32], float]:
@@ -110,7 +111,7 @@ def _loops(size: int) -> tuple[Callable[..., Any], ...]:
     return (make([(whole, narrow, vector, *operator[::-1])])(_fill),
             make([(*operator, vector, count, vector)])(_move),
             make([(*operator, whole_rows, vector, count, narrow, vector, narrow)])(_move_mass),
-            make([(taken, share, vector, vector, count, narrow)])(_take),
+            make([(taken, share, share, vector, vector, count, narrow)])(_take),
             make([(read, share, vector)])(_narrow),
             make([(table, narrow, whole_rows, read, count, table)])(_move_all))
 
@@ -145,9 +146,9 @@ def _fill(indptr, indices, data, pointers, moves, weights):  # type: ignore[no-u
     return found
 
 
-def _take(density, share, peaks, p, reach, held):  # type: ignore[no-untyped-def]
+def _take(density, share, most, peaks, p, reach, held):  # type: ignore[no-untyped-def]
     # pragma: no cover
-    """Copy the blocks with more than a share of the largest size, and count them."""
+    """Copy the blocks with more than a share of the largest size, and count them, if few."""
     best = np.zeros(64, density.dtype)
     for tile in range(peaks.size):
         best[:] = 0
@@ -157,18 +158,23 @@ def _take(density, share, peaks, p, reach, held):  # type: ignore[no-untyped-def
                 size = abs(some[i])
                 best[i] = size if size > best[i] else best[i]
         peaks[tile] = best.max()
-    least, margin = share * peaks.max(), reach // 8
+    least, margin, blocks = share * peaks.max(), reach // 8, (density.size + 7) // 8
     for tile in range(peaks.size):
-        for block in range(64 * tile, min(64 * tile + 64, (density.size + 7) // 8)):
+        for block in range(64 * tile, min(64 * tile + 64, blocks)):
             found = False
             if peaks[tile] > least:
                 some = density[8 * block:8 * block + 8]
                 for i in range(some.size):
                     found |= abs(some[i]) > least
-                if found:
-                    p[reach + 8 * block:reach + 8 * block + some.size] = some
             held[margin + block + 1] = held[margin + block] + found
-    held[margin + (density.size + 7) // 8 + 1:] = held[margin + (density.size + 7) // 8]
+    held[margin + blocks + 1:] = held[margin + blocks]
+    if 8 * held[-1] > most * density.size:
+        return False
+    for block in range(blocks):
+        if held[margin + block + 1] > held[margin + block]:
+            some = density[8 * block:8 * block + 8]
+            p[reach + 8 * block:reach + 8 * block + some.size] = some
+    return True
 
 
 def _move(weights, moves, pointers, p, reach, result):  # type: ignore[no-untyped-def]
