@@ -221,7 +221,7 @@ class DiracFeynmanFilter:
     def predictive(self, belief: GridBelief, sensor: str, at_ns: int) -> Predictive:
         """Return what is expected of a sensor: the density of its measurement, mass 1."""
         t = at_ns / NANOSECONDS
-        width = self._likelihoods[sensor].widths(t)[0] if self.average_cells else None
+        width = self._likelihoods[sensor].widths if self.average_cells else None
         return Predictive.of_cells(self.sensors[sensor], belief.density.ravel(), self.grid.points,
                                    self.grid.spacing, t, self.average_cells, width)
 

@@ -34,12 +34,14 @@ class GridLikelihood:
 
     Where the expected measurement changes by more than two of its standard deviations from edge
     to edge of a cell, the cell's centre does not stand for it; with average_cells, and where the
-    belief has mass, the likelihood is averaged over such a cell.
+    belief has mass, the likelihood is averaged over such a cell.  once: whether it is asked for
+    one measurement only, so that only the cells which that needs are looked at.
     """
 
     grid: Grid
     sensor: Sensor
     average_cells: bool = True
+    once: bool = False
 
     def log(self, y: Array, density: Array, t: float, cells: Indices | None = None) -> Array:
         """
@@ -72,10 +74,8 @@ class GridLikelihood:
 
     def remarks(self, name: str) -> list[str]:
         """Return a sentence where some cells are wider than the likelihood."""
-        if self.sensor.time_dependent or callable(self.sensor.covariance):
-            return []
-        width, coarse = self._constant_widths
-        if not len(coarse):
+        width, coarse = self.widths, self._too_wide
+        if width is None or not len(coarse):
             return []
         cure = ('its likelihood is averaged over such cells where the belief is'
                 if self.average_cells else 'filter.average_cells is off, so variances are wrong')
@@ -88,14 +88,22 @@ class GridLikelihood:
         """Return which of the cells are too wide for their centres, and their averages."""
         if not self.average_cells:
             return _NO_CELLS
-        width, coarse = self.widths(t)
-        if not len(coarse):
+        if self.widths is None:
+            places = np.flatnonzero(density > SIGNIFICANT * density.max())
+            x = np.take(self.grid.points, places if cells is None else cells[places], axis=1)
+            width = cell_widths(self.sensor, x, self.grid.spacing, t)
+            places, width = places[width > RESOLVED], width[width > RESOLVED]
+        elif len(self._too_wide):
+            places = (self._too_wide if cells is None
+                      else np.flatnonzero(self.widths[cells] > RESOLVED))
+            places = places[density[places] > SIGNIFICANT * density.max()]
+            width = self.widths[places if cells is None else cells[places]]
+        else:
             return _NO_CELLS
-        places = coarse if cells is None else np.flatnonzero(width[cells] > RESOLVED)
-        places = places[density[places] > SIGNIFICANT * density.max()]
         if not len(places):
             return _NO_CELLS
-        return places, self._averaged(y, places if cells is None else cells[places], width, t)
+        return places, self._averaged(y, places if cells is None else cells[places],
+                                      float(width.max()), t)
 
     @cached_property
     def _whiten(self) -> Array:
@@ -115,25 +123,21 @@ class GridLikelihood:
         v = np.ascontiguousarray(v - origin[:, None])
         return origin, v, -0.5 * np.einsum('ij,ij->j', v, v)
 
-    def widths(self, t: float) -> tuple[Array, Indices]:
-        """Return each cell's width in standard deviations (size,), and which are too wide."""
-        if self.sensor.time_dependent or callable(self.sensor.covariance):
-            return self._measured_widths(t)
-        return self._constant_widths
+    @cached_property
+    def widths(self) -> Array | None:
+        """Return each cell's width in standard deviations, (size,); None where not kept."""
+        if self.once or self.sensor.time_dependent or callable(self.sensor.covariance):
+            return None
+        return cell_widths(self.sensor, self.grid.points, self.grid.spacing, 0.0)
 
     @cached_property
-    def _constant_widths(self) -> tuple[Array, Indices]:
-        return self._measured_widths(0.0)
+    def _too_wide(self) -> Indices:
+        return np.flatnonzero(self.widths > RESOLVED) if self.widths is not None else _NO_CELLS[0]
 
     @np.errstate(over='ignore', invalid='ignore')
-    def _measured_widths(self, t: float) -> tuple[Array, Indices]:
-        width = cell_widths(self.sensor, self.grid.points, self.grid.spacing, t)
-        return width, np.flatnonzero(width > RESOLVED)
-
-    @np.errstate(over='ignore', invalid='ignore')
-    def _averaged(self, y: Array, cells: Indices, width: Array, t: float) -> Array:
-        """Return the log of the likelihood's average over some cells."""
-        count = min(math.ceil(width[cells].max()) + 1, FINEST[self.grid.ndim])
+    def _averaged(self, y: Array, cells: Indices, width: float, t: float) -> Array:
+        """Return the log of the likelihood's average over some cells, so wide at most."""
+        count = min(math.ceil(width) + 1, FINEST[self.grid.ndim])
         at_once = max(1, CHUNK // count**self.grid.ndim)
         return np.concatenate([self._averaged_together(y, cells[k:k + at_once], count, t)
                                for k in range(0, len(cells), at_once)])
@@ -157,6 +161,7 @@ class GridLikelihood:
         return average + _log_constant(whiten)
 
 
+@np.errstate(over='ignore', invalid='ignore')
 def cell_widths(sensor: Sensor, centres: Array, spacing: Array, t: float) -> Array:
     """
     Return how far cells (n, N) reach in expected measurements, (N,), in standard deviations.

@@ -53,7 +53,7 @@ def test_noise_twice_is_the_noise_of_both():
 
 def test_no_noise_and_no_drift_leave_a_patch_alone():
     patch = patch_of(np.random.default_rng(0))
-    still = moved(patch, lambda window: np.zeros((3,) + window.shape), along(np.zeros(3)))
+    still = moved(patch, lambda window, held: np.zeros((3,) + window.shape), along(np.zeros(3)))
     a = ActiveBelief(WORLD, (patch,)).on(WORLD, (0, 1, 2)).density
     b = ActiveBelief(WORLD, (still,)).on(WORLD, (0, 1, 2)).density
     np.testing.assert_allclose(b, a, atol=1e-15)
@@ -105,7 +105,8 @@ def test_a_step_keeps_mass_and_has_mean_and_variance_exactly(variance):
     wide = Grid(WORLD.lower, WORLD.upper, (40, 50, 96), WORLD.periodic)
     patch = Patch(Window(wide, (0, 1, 0), (12, 40, 40), (6, 7, 8)), rng.random((6, 7, 8)))
     move = np.array([1.37, -2.2, 0.41])
-    after = moved(patch, lambda window: move.reshape(3, 1, 1, 1), along(np.full(3, variance)))
+    after = moved(patch, lambda window, held: move.reshape(3, 1, 1, 1),
+                  along(np.full(3, variance)))
     cell = patch.window.spacing
     # but for planes with less than 1e-9 of the densest cell, some of them on each side
     assert after.mass == pytest.approx(patch.mass, rel=1e-8)
@@ -120,7 +121,7 @@ def test_thin_noise_is_spread_no_more_than_two_nodes_must():
     line = Grid((0.0,), (9.0,), (9,))
     patch = Patch(Window(line, (0,), (0,), (9,)), p)
     for d in (0.0, 0.1, 0.5, 0.8):
-        after = moved(patch, lambda window: np.array([[d]]), along(np.zeros(1)))
+        after = moved(patch, lambda window, held: np.array([[d]]), along(np.zeros(1)))
         belief = ActiveBelief(line, (after,))
         assert belief.mean()[0] == pytest.approx(4.5 + d, abs=1e-14)
         # the least that a distribution on whole numbers with this mean can have

@@ -187,3 +187,15 @@ def test_averages_in_four_dimensions_fit_into_memory():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 100e6
+
+
+@pytest.mark.parametrize('cells', [None, np.arange(5, 60)])
+def test_what_is_asked_for_once_is_what_it_is_for_many(cells):
+    grid = Grid((-5.0, -5.0), (5.0, 5.0), (12, 10))
+    p = GridBelief.gaussian(grid, [0.5, 1.0], np.eye(2)).density.ravel()
+    p = p if cells is None else p[cells]
+    sensor, y = range_sensor((0.3, 0.2), 0.1), np.array([1.1])
+    many = GridLikelihood(grid, sensor).log(y, p, 0.0, cells)
+    assert np.ptp(many) > 100
+    np.testing.assert_array_equal(
+        GridLikelihood(grid, sensor, once=True).log(y, p, 0.0, cells), many)

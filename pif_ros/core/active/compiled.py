@@ -54,18 +54,25 @@ def share(p: Array, moves: Sequence[Array], least: float, spread: Array, circles
     return first[extra:], result.reshape(tuple(count[extra:]))
 
 
-def convolved(p: Array, weights: Array, axis: int, circle: bool) -> Array:
+def convolved(p: Array, weights: Array, axis: int) -> Array:
     """
     Return p with each cell shared along an axis, moves -K to K with weights (2 K + 1,).
 
-    K cells longer at either end of the axis, unless that is a circle.
+    It is K cells longer at either end of the axis.
     """
-    before, count, after = p.shape[:axis], p.shape[axis], p.shape[axis + 1:]
-    longer = count if circle else count + len(weights) - 1
-    flat = np.ascontiguousarray(p).reshape(math.prod(before), count, math.prod(after))
-    result = np.zeros((len(flat), longer, flat.shape[2]))
-    _loops()[2](flat, weights, circle, result)
-    return result.reshape(*before, longer, *after)
+    before, count, after = (math.prod(p.shape[:axis]), p.shape[axis],
+                            math.prod(p.shape[axis + 1:]))
+    longer = count + len(weights) - 1
+    if after == 1:
+        # short lines end to end, with room between them, are one long line
+        room = np.zeros((before, longer))
+        room[:, :count] = p.reshape(before, count)
+        planes = room.reshape(1, -1, 1)[:, :before * longer - len(weights) + 1]
+    else:
+        planes = np.ascontiguousarray(p).reshape(before, count, after)
+    result = np.zeros((len(planes), planes.shape[1] + len(weights) - 1, after))
+    _loops()[2](planes, weights, result)
+    return result.reshape(*p.shape[:axis], longer, *p.shape[axis + 1:])
 
 
 def warm_up() -> None:
@@ -84,7 +91,7 @@ def _loops() -> tuple[Callable[..., Any], ...]:
     bounds = (read,) * (1 + AXES) + (kinds.float64,)
     share = bounds + (vector, whole, whole, kinds.int64, kinds.float64[:, :, :, ::1])
     planes = kinds.Array(kinds.float64, 3, 'C', readonly=True)
-    convolve = (planes, vector, kinds.boolean, kinds.float64[:, :, ::1])
+    convolve = (planes, vector, kinds.float64[:, :, ::1])
     return tuple(numba.njit([signature], cache=True, nogil=True)(loop) for signature, loop in
                  ((bounds, _bounds), (share, _share), (convolve, _convolve)))
 
@@ -108,14 +115,13 @@ def _bounds(p, a, b, c, d, least):  # type: ignore[no-untyped-def]  # pragma: no
 def _share(p, a, b, c, d, least, spread, first, turns, extra,  # type: ignore[no-untyped-def]
            result):  # pragma: no cover
     """Add to result what the cells of p give to the nodes around the places where they land."""
-    node = np.zeros((4, 3), dtype=np.int64)
-    w = np.zeros((4, 3))
-    x = np.zeros(4)
-    few = np.zeros(4, dtype=np.int64)
-    for axis in range(extra):
-        w[axis, 0] = 1.0
-        few[axis] = 1
-    few[extra:] = 3
+    flat, stride = result.reshape(-1), np.ones(4, dtype=np.int64)
+    for axis in range(2, -1, -1):
+        stride[axis] = stride[axis + 1] * result.shape[axis + 1]
+    node, w, x = np.zeros((4, 3), dtype=np.int64), np.zeros((4, 3)), np.zeros(4)
+    w[:extra, 0] = 1.0
+    few = np.full(4, 3)
+    few[:extra] = 1
     for i in range(p.shape[0]):
         for j in range(p.shape[1]):
             for k in range(p.shape[2]):
@@ -132,40 +138,32 @@ def _share(p, a, b, c, d, least, spread, first, turns, extra,  # type: ignore[no
                         w[axis, 0] = max((v - off) / 2, 0.0)
                         w[axis, 1] = 1 - v
                         w[axis, 2] = max((v + off) / 2, 0.0)
+                        place = int(middle) - 1 - first[axis]
                         for s in range(3):
-                            place = int(middle) + s - 1 - first[axis]
-                            if turns[axis]:
-                                place %= turns[axis]
-                            node[axis, s] = place
+                            there = (place + s) % turns[axis] if turns[axis] else place + s
+                            node[axis, s] = there * stride[axis]
+                    # the last axis apart, in the processor's registers
+                    before, at, after = node[3, 0], node[3, 1], node[3, 2]
+                    left, middle, right = w[3, 0], w[3, 1], w[3, 2]
                     for s0 in range(few[0]):
                         w0 = mass * w[0, s0]
                         for s1 in range(few[1]):
                             w1 = w0 * w[1, s1]
                             for s2 in range(few[2]):
                                 w2 = w1 * w[2, s2]
-                                for s3 in range(few[3]):
-                                    result[node[0, s0], node[1, s1], node[2, s2],
-                                           node[3, s3]] += w2 * w[3, s3]
+                                row = node[0, s0] + node[1, s1] + node[2, s2]
+                                flat[row + before] += w2 * left
+                                flat[row + at] += w2 * middle
+                                flat[row + after] += w2 * right
 
 
-def _convolve(p, weights, circle, result):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Add to result each p[:, j] times weights[k] at j + k, round the axis if that is a circle."""
-    count, reach = p.shape[1], len(weights) // 2
+def _convolve(p, weights, result):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Add to result each p[:, j] times weights[k] at j + k."""
+    count = p.shape[1]
     for i in range(p.shape[0]):
+        # in one line, whatever lies along the axis and beyond it
+        here = p[i].reshape(-1)
         for k in range(len(weights)):
-            # in one line each, whatever lies along the axis and beyond it
-            first, move = 0, k
-            last = count
-            if circle:
-                move = k - reach
-                first, last = min(max(0, -move), count), max(min(count, count - move), 0)
-            if first < last:
-                there = result[i, first + move:last + move].reshape(-1)
-                here = p[i, first:last].reshape(-1)
-                for j in range(len(here)):
-                    there[j] += weights[k] * here[j]
-            if circle:
-                for j in range(count):
-                    if not 0 <= j + move < count:
-                        for m in range(p.shape[2]):
-                            result[i, (j + move) % count, m] += weights[k] * p[i, j, m]
+            there = result[i, k:k + count].reshape(-1)
+            for j in range(len(here)):
+                there[j] += weights[k] * here[j]

@@ -14,7 +14,7 @@ from pif_ros.core.active.focus import fitted, focused
 from pif_ros.core.active.parting import MOST, moved_on_finer, parting
 from pif_ros.core.active.regions import thick
 from pif_ros.core.active.settings import RegionSettings
-from pif_ros.core.active.transport import Moves, Noise, SPREAD
+from pif_ros.core.active.transport import Mask, Moves, Noise, SPREAD
 from pif_ros.core.active.window import Window
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.controls import Controls, NANOSECONDS, NO_CONTROLS
@@ -192,12 +192,17 @@ class ActiveGridFilter:
 
     def _moves(self, from_ns: int, to_ns: int, controls: Controls, rate: float) -> Moves:
         """Return what tells how far the drift moves the cells of a window in a step."""
-        def moves(window: Window) -> Array:
-            axes = [axis.mean(keepdims=True) if i in self.model.homogeneous else axis
+        alike = tuple(self.model.homogeneous)
+
+        def moves(window: Window, held: Mask) -> Array:
+            axes = [axis.mean(keepdims=True) if i in alike else axis
                     for i, axis in enumerate(window.grid.axes)]
             x = np.stack(np.meshgrid(*axes, indexing='ij'))
-            end = flow(self.model, x, from_ns, to_ns, controls, rate)
-            cells: Array = (end - x) / window.spacing.reshape(-1, *(1,) * len(axes))
+            places = np.flatnonzero(held.any(axis=alike, keepdims=True))
+            start, cells = np.take(x.reshape(len(x), -1), places, axis=1), np.zeros_like(x)
+            end = flow(self.model, start, from_ns, to_ns, controls, rate)
+            for along, far, width in zip(cells, end - start, window.spacing):
+                along.reshape(-1)[places] = far / width
             return cells
         return moves
 
@@ -225,7 +230,7 @@ class ActiveGridFilter:
             shape = tuple(2 if i in unseen else count for i, count in enumerate(grid.shape))
             grid = Grid(grid.lower, grid.upper, shape, grid.periodic)
             p = np.broadcast_to(p.max(axis=unseen, keepdims=True), shape)
-        likelihood = GridLikelihood(grid, self.sensors[sensor], self.average_cells)
+        likelihood = GridLikelihood(grid, self.sensors[sensor], self.average_cells, once=True)
         log_l = likelihood.log(y, p.ravel(), t).reshape(grid.shape)
         one = tuple(slice(0, 1) if i in unseen else slice(None) for i in range(grid.ndim))
         return np.where(np.isnan(log_l[one]), -np.inf, log_l[one])

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 #: A Runge-Kutta step times the rate at which neighbours part: its error is about this, to the
 #: fifth power, over 120.
-SMOOTH = 0.2
+SMOOTH = 0.25
 #: States at which that rate is looked at, at most, along each axis.
 LOOKS = 5
 #: States that are carried at a time, which stay in the cache.
@@ -64,8 +64,18 @@ def parting_rate(model: StateModel, window: Window, from_ns: int, to_ns: int,
 def _runge_kutta(model: StateModel, x: Array, t: float, h: float) -> Array:
     """Return the states after one classical step of fourth order."""
     k1 = model.drift(x, t)
-    k2 = model.drift(x + h / 2 * k1, t + h / 2)
-    k3 = model.drift(x + h / 2 * k2, t + h / 2)
-    k4 = model.drift(x + h * k3, t + h)
-    moved: Array = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    k2 = model.drift(_further(x, h / 2, k1), t + h / 2)
+    k3 = model.drift(_further(x, h / 2, k2), t + h / 2)
+    k4 = model.drift(_further(x, h, k3), t + h)
+    total = k2 + k3
+    total *= 2
+    total += k1
+    total += k4
+    return _further(x, h / 6, total)
+
+
+def _further(x: Array, h: float, slope: Array) -> Array:
+    """Return x + h slope."""
+    moved: Array = h * slope
+    moved += x
     return moved

@@ -28,8 +28,8 @@ LIGHT = 1e-3
 @np.errstate(invalid='ignore')
 def parting(patch: Patch, moves: Moves) -> Integers:
     """Return how often each axis is to be halved so that neighbours keep together, (n,)."""
-    move, p = moves(patch.window), patch.density
-    heavy = p > LIGHT * p.max()
+    p = patch.density
+    move, heavy = moves(patch.window, np.ones(p.shape, dtype=bool)), p > LIGHT * p.max()
     often = []
     for axis in range(p.ndim):
         if move.shape[axis + 1] == 1 < p.shape[axis]:

@@ -18,6 +18,8 @@ Box = tuple[slice, ...]
 DEAD = 1e-12
 #: By how many cells a step widens a patch on each side, about: what a cut costs.
 HALO = 4
+#: Bits of a number behind the power of two that it begins with.
+DIGITS = 52
 #: A box with fewer cells is not cut, nor one of which more than this share is kept and no plane
 #: is empty.
 SMALL, FILLED = 512, 0.2
@@ -120,12 +122,11 @@ def thick(window: Window, first: list[int], density: Array) -> Patch:
 
 def _kept(p: Array, negligible: float) -> Mask:
     """Return the cells without the emptiest, which hold a share of the mass at most."""
-    exponent = np.frexp(p)[1]
-    low = int(exponent.min())
-    # all cells between two powers of two together
-    mass = np.bincount((exponent - low).ravel(), p.ravel())
+    # what stands in front of the digits: all cells between two powers of two have the same
+    power = np.ascontiguousarray(p).view(np.int64) >> DIGITS
+    mass = np.bincount(power.ravel(), p.ravel())
     lightest = int(np.searchsorted(np.cumsum(mass), negligible * mass.sum(), side='right'))
-    kept: Mask = (exponent >= low + lightest) & (p > 0)
+    kept: Mask = (power >= lightest) & (p > 0)
     return kept
 
 

@@ -21,9 +21,10 @@ from scipy import ndimage
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-#: How far the drift moves what lies in each cell of a window, in cells, (n, ...), with one value
-#: along an axis on which it is the same everywhere.
-Moves = Callable[[Window], Array]
+Mask = NDArray[np.bool_]
+#: How far the drift moves what lies in those cells of a window that are held, given as a mask of
+#: its shape, in cells, (n, ...), with one value along an axis on which it is the same everywhere.
+Moves = Callable[[Window, Mask], Array]
 #: What the noise is in the cells of a window: its variances along the axes (n,), and, where it is
 #: correlated, further ones along directions of whole cells; all in cells squared.
 Noise = Callable[[Window], tuple[Array, list[tuple[float, tuple[int, ...]]]]]
@@ -49,7 +50,9 @@ def moved(patch: Patch, moves: Moves, noise: Noise) -> Patch:
     after = np.maximum(variance / 2, spread)
     half = [(strength / 2, direction) for strength, direction in across]
     wide = _without_margins(heated(patch, variance - after, half))
-    return heated(deposited(wide, moves(wide.window), spread), after - spread, half)
+    p = wide.density
+    there = moves(wide.window, p > NOTHING * p.max())
+    return heated(deposited(wide, there, spread), after - spread, half)
 
 
 def heated(patch: Patch, variance: Array,
@@ -62,23 +65,19 @@ def heated(patch: Patch, variance: Array,
     for strength, direction in across:
         patch = _heated_along(patch, noise_kernel(strength), np.array(direction))
     kernels = [noise_kernel(float(v)) for v in variance]
-    patch = _closed(patch, [len(kernel) // 2 for kernel in kernels])
-    window, p = patch.window, patch.density
-    reach = [0 if circle else len(kernel) // 2
-             for kernel, circle in zip(kernels, window.circles)]
+    p = patch.density
     for axis, kernel in enumerate(kernels):
         if len(kernel) > 1:
-            p = _convolved(p, kernel, axis, window.circles[axis])
-    return _placed(window, -np.array(reach), p)
+            p = _convolved(p, kernel, axis)
+    return _placed(patch.window, -np.array([len(kernel) // 2 for kernel in kernels]), p)
 
 
-def _convolved(p: Array, kernel: Array, axis: int, circle: bool) -> Array:
-    """Return p with each cell shared along an axis, which grows by that unless it is a circle."""
+def _convolved(p: Array, kernel: Array, axis: int) -> Array:
+    """Return p with each cell shared along an axis, which grows by that on either side."""
     if compiled.is_available():
-        return compiled.convolved(p, kernel, axis, circle)
-    if not circle:
-        p = np.pad(p, [(len(kernel) // 2 if i == axis else 0,) * 2 for i in range(p.ndim)])
-    return np.asarray(ndimage.convolve1d(p, kernel, axis, mode='wrap' if circle else 'constant'))
+        return compiled.convolved(p, kernel, axis)
+    p = np.pad(p, [(len(kernel) // 2 if i == axis else 0,) * 2 for i in range(p.ndim)])
+    return np.asarray(ndimage.convolve1d(p, kernel, axis, mode='constant'))
 
 
 def _without_margins(patch: Patch) -> Patch:
@@ -95,30 +94,14 @@ def _without_margins(patch: Patch) -> Patch:
     return _placed(window, first, np.ascontiguousarray(inside))
 
 
-def _closed(patch: Patch, reach: list[int]) -> Patch:
-    """Return a patch on all of each circle that it will go round when it grows by its reach."""
-    window, p = patch.window, patch.density
-    offset = list(window.offset)
-    for axis, round_ in enumerate(window.base.periodic):
-        missing = window.cells[axis] - p.shape[axis]
-        if round_ and 0 < missing <= 2 * reach[axis]:
-            p = np.pad(p, [(0, missing if i == axis else 0) for i in range(p.ndim)])
-            p = np.roll(p, offset[axis], axis)
-            offset[axis] = 0
-    return Patch(Window.of(window.base, window.level, offset, p.shape), p)
-
-
 def _heated_along(patch: Patch, kernel: Array, direction: Integers) -> Patch:
     """Return a patch whose cells are shared along a direction."""
     reach = len(kernel) // 2 * np.abs(direction)
-    patch = _closed(patch, reach.tolist())
-    window = patch.window
-    grown = np.where(window.circles, 0, reach)
-    p, axes = np.pad(patch.density, [(k, k) for k in grown]), tuple(range(len(direction)))
-    # but for circles nothing comes round, since there is room for it
+    p, axes = np.pad(patch.density, [(k, k) for k in reach]), tuple(range(len(direction)))
+    # nothing comes round, since there is room for it
     shared = sum(w * np.roll(p, tuple((k - len(kernel) // 2) * direction), axes)
                  for k, w in enumerate(kernel))
-    return _placed(window, -grown, np.asarray(shared))
+    return _placed(patch.window, -reach, np.asarray(shared))
 
 
 @lru_cache(maxsize=256)
@@ -182,10 +165,10 @@ def _sound(window: Window, move: Array, p: Array) -> tuple[Array, Array]:
     What the drift does not tell, or carries further than that, is lost to the world anyway; round
     a circle it is as if all had gone some whole turns less.
     """
-    longest = np.array(window.cells).reshape(-1, *(1,) * p.ndim) + 3.0
-    sound = np.abs(move) <= longest
-    if sound.all():
+    longest, by_axis = np.array(window.cells) + 3.0, move.reshape(len(move), -1)
+    if (by_axis.max(axis=1) <= longest).all() and (by_axis.min(axis=1) >= -longest).all():
         return move, p
+    longest = longest.reshape(-1, *(1,) * p.ndim)
     move = move.copy()
     for axis in np.flatnonzero(window.base.periodic):
         finite, turn = move[axis][np.isfinite(move[axis])], window.cells[axis]
