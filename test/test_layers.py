@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 #: all of it, and nothing imports them but each other.
 LAYERS = [
     ['', 'core', 'core.compiler', 'fields', 'share', 'process'],
-    ['core.grid', 'core.posterior'],
+    ['core.grid', 'core.posterior', 'core.tails'],
     ['core.modes'],
     ['core.belief'],
     ['core.models', 'core.scoring'],
