@@ -10,6 +10,10 @@ import time
 from pif_ros.traffic import Traffic
 
 
+#: Reasons for which the user has messages rejected: no sign that something is wrong.
+ASKED_FOR = ('disabled', 'inactive')
+
+
 @dataclass
 class SourceAccount:
     """
@@ -30,7 +34,8 @@ class SourceAccount:
     def reject(self, reason: str) -> None:
         """Count a message that cannot be used."""
         self.rejected[reason] += 1
-        self.traffic.refuse()
+        if reason not in ASKED_FOR:
+            self.traffic.refuse()
 
     def judge_anew(self, reason: str, refused: bool) -> None:
         """Count one that was accepted as rejected, or one rejected for that as accepted."""
@@ -77,6 +82,11 @@ class Accounts:
         yield from self.sources.values()
         if self.control is not None:
             yield self.control
+
+    def restart(self) -> None:
+        """Forget what another clock has told of anyone's messages."""
+        for account in (*self, self.initial_pose):
+            account.traffic.restart()
 
     def __str__(self) -> str:
         """Return all accounts in a line."""

@@ -165,11 +165,11 @@ class FilterBank(Node):
     def _work(self) -> None:
         """Correct by what waits, all targets by one measurement each, then by the next."""
         try:
-            busy = [target for target in self.targets.values() if target.inbox.has_work]
+            busy = [target for target in self.targets.values() if target.inbox.wants_a_turn]
             for _ in range(SLICE):
                 busy = self._correct(busy)
         finally:
-            if any(target.inbox.has_work for target in self.targets.values()):
+            if any(target.inbox.wants_a_turn for target in self.targets.values()):
                 self._wake.trigger()
 
     def _correct(self, busy: Sequence[Target]) -> list[Target]:

@@ -85,6 +85,10 @@ class FilterNode(ManagedNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen and publish; what was believed is believed still."""
         self._outputs.restart()
+        if self.tracker.newest.stamp_ns is not None \
+                and self.tracker.newest.stamp_ns > self._published_ns:
+            self.inbox.remind()
+            self._wake.trigger()
         return super().on_activate(state)
 
     # What comes in
@@ -117,7 +121,7 @@ class FilterNode(ManagedNode):
             self.report('initialpose', f'initialpose: {refused}')
             return
         account.accept(stamp_ns)
-        self._restart(belief, stamp_ns, 'initialpose')
+        self._restart(belief, stamp_ns, 'initialpose', stamp_ns)
         self._publish(self.tracker.estimate())
 
     @guarded
@@ -136,22 +140,19 @@ class FilterNode(ManagedNode):
         self.get_logger().info(clock.text)
         if not self.is_made or clock.goes_on and not clock.by_ns:
             return
-        newest = None
+        self._published_ns, self._since_ns = -1, 0
         if clock.goes_on:
             for failed in self.inbox.settle():
                 self.faults += 1
                 self.report('fault', f'{type(failed.__cause__).__name__}: {failed}')
-            newest = self.tracker.newest
-        self._published_ns, self._since_ns = -1, 0
-        for account in self.accounts:
-            account.traffic.restart()
-        if newest is None or newest.stamp_ns is None:
-            self._restart(None, None, clock.text)
-        else:
-            belief = newest.belief
+            belief = self.tracker.newest.belief
             if isinstance(belief, PathBelief):
                 belief = belief.moved(clock.by_ns)
-            self._restart(belief, newest.stamp_ns + clock.by_ns, clock.text)
+            self._begin_anew(clock.text)
+            self.inbox.set_clock(clock.by_ns, belief)
+        else:
+            self._restart(None, None, clock.text)
+        self.accounts.restart()
 
     def _on_parameters(self, changes: list[Parameter]) -> SetParametersResult:
         try:
@@ -169,7 +170,7 @@ class FilterNode(ManagedNode):
             try:
                 estimate = self.inbox.work()
             finally:
-                if self.inbox.has_work:
+                if self.inbox.wants_a_turn:
                     self._wake.trigger()
             if estimate is not None:
                 self._publish(estimate)
@@ -233,18 +234,22 @@ class FilterNode(ManagedNode):
         self.inbox.drain()
 
     def _recall(self, memory: Memory[Any], published_ns: int) -> None:
-        self.restarts += 1
-        self._why = 'state_file'
+        self._begin_anew('state_file')
         self._published_ns = max(self._published_ns, published_ns)
-        self._outputs.restart()
         self.inbox.recall(memory)
         self._wake.trigger()
 
-    def _restart(self, belief: Any, stamp_ns: int | None, why: str) -> None:
+    def _restart(self, belief: Any, stamp_ns: int | None, why: str,
+                 steered_ns: int | None = None) -> None:
+        self._begin_anew(why)
+        self.inbox.restart(belief, stamp_ns, steered_ns)
+
+    def _begin_anew(self, why: str) -> None:
+        """Let go of what was told of another belief."""
         self.restarts += 1
         self._why = why
         self._outputs.restart()
-        self.inbox.restart(belief, stamp_ns)
+        self._health.restart()
 
     # What goes out
 
@@ -263,7 +268,7 @@ class FilterNode(ManagedNode):
         if not belief.mass > 0:
             text = 'all of the belief has left the grid: back to the prior'
             self.report('off the grid', text)
-            self._restart(None, None, text)
+            self._restart(None, None, text, self.tracker.stamp_ns)
             return
         self._published_ns = stamp_ns
         with self.watch.timing('publish'):

@@ -43,6 +43,10 @@ class Health:
             self._next_modes = began + (time.monotonic() - began) / TAKE
         return self._masses
 
+    def restart(self) -> None:
+        """Forget the modes of another belief."""
+        self._next_modes, self._masses = 0.0, ()
+
     def tell(self) -> None:
         """Publish how it is."""
         self._publish(only_worse=False)

@@ -58,6 +58,11 @@ class Inbox:
         """Return whether something waits, here or in the tracker."""
         return bool(self.queue or self._tracker.backlog)
 
+    @property
+    def wants_a_turn(self) -> bool:
+        """Return whether there is something to work in, or something to tell."""
+        return self.has_work or self._news
+
     def put(self, inlet: Inlet, item: Measurement | Control) -> None:
         """Let a message wait; the oldest of a full queue is dropped."""
         if len(self.queue) >= self._longest:
@@ -87,7 +92,9 @@ class Inbox:
         self._burst_since = None
         if not self._tracker.backlog:
             self.behind_since = None
-            return None
+            # after one that failed, what the others before it have told
+            news, self._news = self._news, False
+            return self._tracker.newest if news else None
         began, left = time.monotonic(), self._tracker.backlog
         try:
             estimate = self._corrected(min(self.slice, self._in_turn))
@@ -150,11 +157,26 @@ class Inbox:
                 self._unjudged.add(item)
                 self._news = True
 
-    def restart(self, belief: Any, stamp_ns: int | None) -> None:
-        """Account for what waits, forget it, and start from a belief (None: the prior)."""
+    def restart(self, belief: Any, stamp_ns: int | None, steered_ns: int | None = None) -> None:
+        """
+        Account for what waits, forget it, and start from a belief (None: the prior).
+
+        steered_ns: a stamp at which the robot is still driven as it was, None where it is not.
+        """
         self.account()
         self._forget()
-        self._tracker.reset(belief, stamp_ns)
+        self._news = False
+        self._tracker.reset(belief, stamp_ns, steered_ns)
+
+    def set_clock(self, by_ns: int, belief: Any) -> None:
+        """Go on from the newest belief as it is by a clock that is so much ahead."""
+        self._forget()
+        self._news = False
+        self._tracker.set_clock(by_ns, belief)
+
+    def remind(self) -> None:
+        """Let the next work() tell what is believed."""
+        self._news = True
 
     def recall(self, memory: Memory[Any]) -> None:
         """Account for what waits, forget it, and go on from what a tracker remembered."""
@@ -162,7 +184,7 @@ class Inbox:
         self._tracker.recall(memory)
         self._verdicts.disregard(memory.measurements)
         # what is believed then is worth telling, once it is known again
-        self._news = True
+        self.remind()
 
     def account(self) -> None:
         """Put all that waits in the queue where it belongs."""

@@ -50,9 +50,8 @@ class Listener:
                     info: Mapping[str, Any]) -> None:
         account, now_ns = inlet.account, self._time.now()
         account.received += 1
-        lost = inlet.lost(info['publication_sequence_number'])
-        if lost and self._node.count_publishers(self._node.resolve_topic_name(inlet.topic)) == 1:
-            # several publishers count each for themselves, and which one sent is not told
+        if lost := inlet.lost(info['publication_sequence_number'],
+                              lambda: self._publishers(inlet)):
             account.lose(lost)
             self._node.report(f'{inlet.name}: lost', f'{inlet.name}: {lost} {inlet.what}s were '
                               'lost before they came here, such as in a full queue of DDS')
@@ -61,13 +60,15 @@ class Listener:
                 raise Refused(why, f'it is {why}')
             item = inlet.item(msg, now_ns, self._arrival(info))
         except Refused as refused:
-            account.traffic.arrive(now_ns or 0)
+            if now_ns is not None:
+                account.traffic.arrive(now_ns)
             self._inbox.reject(inlet, refused.reason, str(refused))
             return
         except Exception:
             account.reject('fault')
             raise
-        account.traffic.arrive(now_ns or 0, item.stamp_ns if inlet.is_stamped else None)
+        assert now_ns is not None
+        account.traffic.arrive(now_ns, item.stamp_ns if inlet.is_stamped else None)
         alone = not self._inbox.has_work
         self._inbox.put(inlet, item)
         self._arrived(alone)
@@ -85,6 +86,11 @@ class Listener:
             raise ConfigError(f'{inlet.prefix}.topic: expected a topic for messages '
                               f'of type {inlet.type.__name__}, got {inlet.topic!r} '
                               f'({str(error).splitlines()[0]})') from None
+
+    def _publishers(self, inlet: Inlet) -> int:
+        """Return how many publish what an inlet hears."""
+        count: int = self._node.count_publishers(self._node.resolve_topic_name(inlet.topic))
+        return count
 
     def _arrival(self, info: Mapping[str, Any]) -> int | None:
         """Return when a message arrived, None where the node does not live in that time."""

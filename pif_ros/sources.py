@@ -56,15 +56,22 @@ class Inlet:
         self.is_stamped = fields.has_header(self.type)
         self._is_range = fields.is_range(self.type, config.fields)
         self._newest: int | None = None
+        self._is_mixed = False
 
-    def lost(self, number: int | None) -> int:
+    def lost(self, number: int | None, publishers: Callable[[], int]) -> int:
         """
         Return how many messages never came since the last one, by their publisher's count.
 
-        None where the middleware does not count; a smaller number is that of a new publisher.
+        None where the middleware does not count.  publishers: tells how many there are, since each
+        counts for itself, and which one sent is not told: nothing can be said until one is left,
+        and has sent once more.
         """
         newest, self._newest = self._newest, number
-        return 0 if newest is None or number is None else max(number - newest - 1, 0)
+        if newest is None or number is None or number == newest + 1:
+            return 0
+        was_mixed, self._is_mixed = self._is_mixed, publishers() > 1
+        # a smaller number is that of a new publisher
+        return 0 if was_mixed or self._is_mixed else max(number - newest - 1, 0)
 
     def read(self, msg: Any, now_ns: int | None,
              arrived_ns: int | None = None) -> tuple[int, tuple[float, ...]]:

@@ -260,12 +260,13 @@ class Twins:
             left = theirs.forecast(latest_ns).belief.mass
             assert left == 0 or not self._is_alike, (
                 f'back to the prior with a mass of {left} on the grid')
-            theirs.reset()
+            theirs.reset(steered_ns=theirs.stamp_ns)
             self.left_the_grid += 1
 
     def _forget(self, belief: Any, stamp_ns: int | None) -> None:
         self.twin.take(len(self.node.inbox.queue))
-        self.twin.tracker.reset(belief, stamp_ns)
+        # a robot is driven on from a pose that is set; after a reset nothing is known of it
+        self.twin.tracker.reset(belief, stamp_ns, stamp_ns)
 
     def _is_idle(self) -> bool:
         self._follow()

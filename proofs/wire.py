@@ -49,9 +49,10 @@ class Mirror:
             assert self.twin.control(stamp_ns, values) is None
         return rejection
 
-    def _reset(self, belief: Any = None, stamp_ns: int | None = None) -> None:
-        self._own['reset'](belief, stamp_ns)
-        self.twin.reset(belief, stamp_ns)
+    def _reset(self, belief: Any = None, stamp_ns: int | None = None,
+               steered_ns: int | None = None) -> None:
+        self._own['reset'](belief, stamp_ns, steered_ns)
+        self.twin.reset(belief, stamp_ns, steered_ns)
 
 
 def run(share: float = 1.0) -> list[str]:

@@ -154,7 +154,8 @@ class Guard:
             gated = gate.tail(expected, y) < gate.tail_probability
         watch = watch.counted(source, rejections)
         if gated:
-            return Outcome(belief, _log_evidence(expected, y, gate), watch, tail, True, recovered)
+            log_p = _log_evidence(expected, y, gate, belief.mass)
+            return Outcome(belief, log_p, watch, tail, True, recovered)
         return Outcome(*_robust(filter_, belief, y, source, at_ns, gate), watch, tail, False,
                        recovered)
 
@@ -194,11 +195,13 @@ def _robust(filter_: Filter[Belief], belief: Belief, y: tuple[float, ...], sourc
     return mixed, log_evidence
 
 
-def _log_evidence(expected: Predictive, y: tuple[float, ...], gate: Gate) -> float:
-    """Return log p(y), clutter included, of what was not used."""
+def _log_evidence(expected: Predictive, y: tuple[float, ...], gate: Gate, mass: float) -> float:
+    """Return log p(y), clutter included, of what was not used; what has left says nothing."""
+    if not mass > 0:
+        return -math.inf
     log_p, o = expected.log_density(y), gate.outlier_probability
-    if not o:
-        return log_p
-    assert gate.clutter is not None
-    return float(np.logaddexp(math.log1p(-o) + log_p,
-                              math.log(o) + gate.clutter.log_density(y)))
+    if o:
+        assert gate.clutter is not None
+        log_p = float(np.logaddexp(math.log1p(-o) + log_p,
+                                   math.log(o) + gate.clutter.log_density(y)))
+    return log_p + math.log(mass)

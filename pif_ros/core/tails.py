@@ -87,7 +87,7 @@ def _lattice_tail(lattices: list[_Lattice]) -> float:
 def _lattices(weights: Array, v: Array, width: float) -> Iterator[_Lattice]:
     """Give a lattice for each of the heaviest clusters, and a coarser one for all others."""
     cluster = _clusters(v)
-    order, room = np.argsort(cluster, kind='stable'), LARGEST_LATTICE
+    order, room = np.argsort(cluster, kind='stable'), float(LARGEST_LATTICE)
     parts = np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1)
     left = []
     for part in sorted(parts, key=lambda part: -float(weights[part].sum())):

@@ -72,6 +72,20 @@ class Tracker(Generic[Belief]):
         self._steered: list[tuple[int, tuple[float, ...]]] = kept
         self._controls: Controls | None = None
 
+    def set_clock(self, by_ns: int, belief: Belief) -> None:
+        """
+        Go on from the newest belief, as it is by a clock that is so much ahead.
+
+        What drives it, and what is known of how the measurements fitted, goes along; what came
+        before has an older clock's stamps and is forgotten.
+        """
+        self.look()
+        newest, steered = self.newest, self._steered
+        self.reset(belief)
+        if newest.stamp_ns is not None:
+            self._anchor = replace(newest, stamp_ns=newest.stamp_ns + by_ns, belief=belief)
+        self._steered = [(stamp_ns + by_ns, value) for stamp_ns, value in steered]
+
     def memory(self) -> Memory[Belief]:
         """Return what decides the future, at the cost of a list: no belief is copied."""
         self.look()
@@ -206,10 +220,13 @@ class Tracker(Generic[Belief]):
         while self._unwatched:
             place = len(self._posteriors) - len(self._unwatched)
             predicted, measurement = self._unwatched.pop(0)
-            before = self._posteriors[place - 1] if place else self._anchor
-            watch = self.guard.watched(self.filter, predicted, measurement.values,
-                                       measurement.source, measurement.stamp_ns, before.watch)
-            self._posteriors[place] = replace(self._posteriors[place], watch=watch)
+            watch = (self._posteriors[place - 1] if place else self._anchor).watch
+            try:
+                watch = self.guard.watched(self.filter, predicted, measurement.values,
+                                           measurement.source, measurement.stamp_ns, watch)
+            finally:
+                # where a sensor raises, the watch before it goes on
+                self._posteriors[place] = replace(self._posteriors[place], watch=watch)
 
     def forecast(self, stamp_ns: int) -> Estimate[Belief]:
         """Return what is believed of a later moment; commits to nothing."""

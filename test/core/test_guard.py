@@ -12,7 +12,7 @@ from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.guard import Gate, Guard, Recovery
 from pif_ros.core.kernels import KernelSettings
-from pif_ros.core.lost import Alarm
+from pif_ros.core.lost import Alarm, Watch
 from pif_ros.core.models import Sensor
 from pif_ros.core.rivals import ExtendedKalmanFilter, ParticleFilter, UnscentedKalmanFilter
 from pif_ros.core.systems import ornstein_uhlenbeck
@@ -332,3 +332,18 @@ def test_nobody_looks_before_he_is_asked_to_however_much_is_forgotten(monkeypatc
         tracker.look()
         assert looked.pop() and not looked
     assert tracker.kept < 6
+
+
+@pytest.mark.parametrize('outliers', [0.0, 5e-4])
+def test_a_gated_measurement_has_the_log_evidence_that_it_would_have_had(outliers):
+    full = DF.gaussian([0.5], [[0.4]])
+    belief = GridBelief(GRID, 0.3 * full.density)
+    more = {'outlier_probability': outliers, 'clutter': CLUTTER} if outliers else {}
+    gate = Gate(1e-3, 3, **more)
+    shut = Guard({'place': gate}, Recovery(DF.uniform(), 0.2, False))
+    open_ = Guard({'place': Gate(**more)}) if outliers else Guard()
+    gated = shut.correct(DF, belief, (4.5,), 'place', 0, Watch())
+    used = open_.correct(DF, belief, (4.5,), 'place', 0, Watch())
+    assert gated.gated and not used.gated
+    # cells of 0.2 beside a deviation of 0.55
+    assert gated.log_evidence == pytest.approx(used.log_evidence, abs=1e-6)
