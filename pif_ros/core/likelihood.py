@@ -192,8 +192,8 @@ def cell_widths(sensor: Sensor, centres: Array, spacing: Array, t: float) -> Arr
     """
     Return how far cells (n, N) reach in expected measurements, (N,), in standard deviations.
 
-    The widest of the axes on which there is a spacing, (n,) or (n, N); 0 where the function is
-    undefined.
+    The widest of the axes on which there is a spacing, (n,) or (n, N).  A half of a cell at whose
+    edge the function is undefined counts for as much as the other; 0 where both are.
     """
     whiten, centre = _whitening(sensor, t), sensor.function(centres, t)
     width = np.zeros(centres.shape[1])
@@ -201,11 +201,15 @@ def cell_widths(sensor: Sensor, centres: Array, spacing: Array, t: float) -> Arr
         half = np.zeros((len(spacing), spacing.size // len(spacing)))
         half[axis] = spacing[axis] / 2
         # edge to centre to edge, since a sensor may turn back within a cell
-        across = sum(_lengths(whiten @ sensor.difference(
+        down, up = (_lengths(whiten @ sensor.difference(
             sensor.function(centres + side * half, t), centre)) for side in (-1, 1))
-        np.maximum(width, across, out=width)
-    found: Array = np.nan_to_num(width, nan=0.0, posinf=0.0)
-    return found
+        np.maximum(width, _or_else(down, up) + _or_else(up, down), out=width)
+    return width
+
+
+def _or_else(a: Array, b: Array) -> Array:
+    """Return a, b where that is not finite, 0 where neither is."""
+    return np.where(np.isfinite(a), a, np.where(np.isfinite(b), b, 0.0))
 
 
 def _lengths(v: Array) -> Array:
@@ -235,10 +239,15 @@ def _log_density(v: Array, changes: list[Array]) -> Array:
 
 
 def _change(sensor: Sensor, h: Array, axis: int) -> Array:
-    """Return the change of h from point to point along an axis, the larger of the two sides."""
+    """
+    Return the change of h from point to point along an axis, the larger of the two sides.
+
+    That of the only side on which it is defined, 0 where there is none.
+    """
     steps = sensor.difference(np.delete(h, 0, axis), np.delete(h, -1, axis))
     left = np.concatenate([steps.take([0], axis), steps], axis)
     right = np.concatenate([steps, steps.take([-1], axis)], axis)
+    left, right = _or_else(left, right), _or_else(right, left)
     return np.where(np.abs(left) > np.abs(right), left, right)
 
 

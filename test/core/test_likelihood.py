@@ -228,3 +228,38 @@ def test_a_sensor_of_moderate_range_is_taken_by_its_terms_though_it_is_undefined
         sensor = Sensor(lambda x, t: np.where(x < 30, x, nothing), [[0.01]])
         likelihood = GridLikelihood(grid, sensor, average_cells=False)
         assert isinstance(likelihood.terms(np.array([3.0]), flat(grid), 0.0), Terms)
+
+
+@pytest.mark.parametrize('edge', [1.9999, 1.95, 2.0001, 3.9])
+@pytest.mark.parametrize('side', [1, -1])
+def test_up_to_the_edge_of_a_field_of_view_no_measurement_is_lost_between_cells(edge, side):
+    # y = x + w on cells of twenty deviations, all alike before: 1 / 4 for whatever is seen
+    grid = Grid((min(0, 4 * side),), (max(0, 4 * side),), (20,))
+    sensor = Sensor(lambda x, t: np.where(side * x < edge, x, np.nan), [[1e-4]])
+    for y in (1.7, 1.83, 1.87, 1.9, 1.93):
+        log_l = GridLikelihood(grid, sensor).log(np.array([side * y]), flat(grid), 0.0)
+        evidence = np.nansum(np.exp(log_l)) * 0.2 / 4
+        # all that is seen of it, and points that are a quarter of a deviation apart
+        seen = stats.norm(y, 0.01).cdf(edge)
+        assert evidence == pytest.approx(0.25 * seen, rel=0.1)
+
+
+@pytest.mark.parametrize('y', [0.205, 0.21, 0.29, 0.3])
+def test_a_hole_in_a_field_of_view_is_the_same_from_either_side(y):
+    grid, evidence = Grid((-2,), (2,), (20,)), []
+    for side in (1, -1):
+        sensor = Sensor(lambda x, t, side=side: np.where(
+            (side * x > 0.221) & (side * x < 0.28), np.nan, x), [[0.003**2]])
+        log_l = GridLikelihood(grid, sensor).log(np.array([side * y]), flat(grid), 0.0)
+        evidence.append(np.nansum(np.exp(log_l)) * 0.2 / 4)
+    np.testing.assert_allclose(evidence, 0.25, rtol=0.1)
+
+
+def test_a_sensor_of_two_numbers_sees_along_the_edge_of_its_half_plane():
+    grid, evidence = Grid((0, 0), (4, 4), (20, 20)), []
+    for side in (1, -1):
+        sensor = Sensor(lambda x, t, side=side: np.where(
+            side * (x[:1] - 2) < -1e-3, x[1:], np.nan), [[1e-4]])
+        log_l = GridLikelihood(grid, sensor).log(np.array([2.03]), flat(grid), 0.0)
+        evidence.append(np.nansum(np.exp(log_l)) * 0.04 / 16)
+    np.testing.assert_allclose(evidence, 1 / 8, rtol=0.1)
