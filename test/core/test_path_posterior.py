@@ -211,6 +211,8 @@ def posterior_of(**changes):
                                                    'multiplicative'),
     ({'model': StateModel(('a', 'b'), drift, np.array([[1.0], [0.0]]))},
      'model: e Q e^T: expected a positive definite matrix, got [[1.0, 0.0], [0.0, 0.0]]'),
+    ({'model': StateModel(('a', 'b'), lambda x, u, t: 0 * x, np.eye(2), inputs=('u', 'v'))},
+     'model: expected one without inputs, got u, v'),
     ({'mean': [0.0]}, 'mean: expected 2 finite numbers, got [0.0]'),
     ({'mean': [0.0, float('inf')]}, 'mean: expected 2 finite numbers, got [0.0, inf]'),
     ({'covariance': np.eye(3)}, 'covariance: expected 2 x 2 numbers, got 3 x 3'),

@@ -67,6 +67,9 @@ class PathPosterior:
         n, put = self.model.ndim, object.__setattr__
         if self.model.multiplicative:
             raise ValueError('model: expected additive noise, got multiplicative')
+        if self.model.inputs:
+            raise ValueError('model: expected one without inputs, '
+                             f'got {", ".join(self.model.inputs)}')
         put(self, 'mean', np.array(self.mean, dtype=float))
         put(self, 'covariance', np.array(self.covariance, dtype=float))
         if np.shape(self.mean) != (n,) or not np.all(np.isfinite(self.mean)):
