@@ -130,6 +130,9 @@ class DiracFeynmanFilter:
         if self.model.changes_with_time and self.operator != OperatorSettings():
             raise ValueError('operator: expected none of steps, file and wavelet where the model '
                              f'changes with time, got {self.operator}')
+        # a kernel takes as long as the clock goes on in its step
+        object.__setattr__(self, 'kernel', replace(self.kernel,
+                                                   time_step=self._kernel_ns / NANOSECONDS))
         object.__setattr__(self, 'form', chosen_form(self.model, self.grid, self.kernel,
                                                      self.operator))
 

@@ -22,6 +22,9 @@ RESOLVED = 2.0
 FINEST = {1: 32, 2: 8, 3: 4, 4: 3}
 #: A cell with less than this share of the densest one is not worth averaging over.
 SIGNIFICANT = 1e-9
+#: Beyond this square of an expected measurement, whitened, a log likelihood is not added up from
+#: its terms, whose difference would have lost its digits from the tenth on.
+FAR = 1e6
 #: Points that are averaged over at a time.
 CHUNK = 1 << 16
 _NO_CELLS = np.zeros(0, dtype=np.intp), np.zeros(0)
@@ -54,23 +57,15 @@ class GridLikelihood:
 
     def terms(self, y: Array, density: Array, t: float,
               cells: Indices | None = None) -> Array | Terms:
-        """Return the same, by its terms where the sensor's residual is a difference."""
+        """Return the same, by its terms where those are small enough to lose no digits."""
         places, own = self._coarse(y, density, t, cells)
-        sensor = self.sensor
-        if sensor.time_dependent or callable(sensor.covariance) or any(sensor.angular):
-            x = self.grid.points if cells is None else self.grid.points[:, cells]
-            with np.errstate(over='ignore', invalid='ignore'):
-                log_l = sensor.log_likelihood(y, sensor.function(x, t), t)
-            log_l[places] = own
-            return log_l
-        # -|v - u|^2 / 2 = v u - |v|^2 / 2 - |u|^2 / 2, of which only the first needs both
-        origin, v, square = self._whitened
-        if cells is not None:
-            v, square = np.take(v, cells, axis=1), square[cells]
+        terms = self._terms(y, cells)
+        if terms is not None:
+            return Terms(*terms, places, own)
         with np.errstate(over='ignore', invalid='ignore'):
-            u = self._whiten @ y - origin
-            constant = self._log_constant - 0.5 * float(u @ u)
-        return Terms(u, v, square, constant, places, own)
+            log_l = self.sensor.log_likelihood(y, self._expected(cells, t), t)
+        log_l[places] = own
+        return log_l
 
     def remarks(self, name: str) -> list[str]:
         """Return a sentence where some cells are wider than the likelihood."""
@@ -105,23 +100,54 @@ class GridLikelihood:
         return places, self._averaged(y, places if cells is None else cells[places],
                                       float(width.max()), t)
 
-    @cached_property
-    def _whiten(self) -> Array:
-        return _whitening(self.sensor, 0.0)
-
-    @cached_property
-    def _log_constant(self) -> float:
-        return _log_constant(self._whiten)
+    def _terms(self, y: Array, cells: Indices | None) -> tuple[Array, Array, Array, float] | None:
+        """Return what a log likelihood is the sum of, None where it is none or loses digits."""
+        if self._whitened is None:
+            return None
+        # -|v - u|^2 / 2 = v u - |v|^2 / 2 - |u|^2 / 2, of which only the first needs both; where
+        # |u| is far beyond all |v|, the result is as large as its terms, and has their digits
+        whiten, origin, v, square = self._whitened
+        if cells is not None:
+            v, square = np.take(v, cells, axis=1), square[cells]
+        with np.errstate(over='ignore', invalid='ignore'):
+            u = whiten @ y - origin
+            constant = self.sensor.log_peak(0.0) - 0.5 * float(u @ u)
+        return u, v, square, constant
 
     @cached_property
     @np.errstate(over='ignore', invalid='ignore')
-    def _whitened(self) -> tuple[Array, Array, Array]:
-        """Return an origin (m,), the whitened h from there (m, size), and -|.|^2 / 2 of it."""
-        v = self._whiten @ self.sensor.function(self.grid.points, 0.0)
+    def _whitened(self) -> tuple[Array, Array, Array, Array] | None:
+        """
+        Return what whitens, an origin (m,), the whitened h from there (m, size), -|.|^2 / 2 of it.
+
+        None where the residual is no difference, or is one of numbers that are too far apart.
+        """
+        sensor = self.sensor
+        if sensor.time_dependent or callable(sensor.covariance) or any(sensor.angular):
+            return None
+        whiten = _whitening(sensor, 0.0)
+        v = whiten @ sensor.function(self.grid.points, 0.0)
         # an origin on the grid, so that large coordinates cost no digits
         origin = np.nan_to_num(v[:, self.grid.size // 2], posinf=0.0, neginf=0.0)
         v = np.ascontiguousarray(v - origin[:, None])
-        return origin, v, -0.5 * np.einsum('ij,ij->j', v, v)
+        square = -0.5 * np.einsum('ij,ij->j', v, v)
+        # where h is undefined or infinite there are no digits to lose
+        if not square.min() >= -FAR / 2 and np.any(
+                np.isfinite(v).all(axis=0) & (square < -FAR / 2)):
+            return None
+        return whiten, origin, v, square
+
+    def _expected(self, cells: Indices | None, t: float) -> Array:
+        """Return h of some cells, all where none are given."""
+        if self.sensor.time_dependent or self.once:
+            x = self.grid.points if cells is None else self.grid.points[:, cells]
+            return self.sensor.function(x, t)
+        return self._constant if cells is None else np.take(self._constant, cells, axis=1)
+
+    @cached_property
+    @np.errstate(over='ignore', invalid='ignore')
+    def _constant(self) -> Array:
+        return np.asarray(self.sensor.function(self.grid.points, 0.0), dtype=float)
 
     @cached_property
     def widths(self) -> Array | None:
@@ -166,8 +192,8 @@ def cell_widths(sensor: Sensor, centres: Array, spacing: Array, t: float) -> Arr
     """
     Return how far cells (n, N) reach in expected measurements, (N,), in standard deviations.
 
-    The widest of the axes on which there is a spacing, (n,) or (n, N); 0 where the function is
-    undefined.
+    The widest of the axes on which there is a spacing, (n,) or (n, N).  A half of a cell at whose
+    edge the function is undefined counts for as much as the other; 0 where both are.
     """
     whiten, centre = _whitening(sensor, t), sensor.function(centres, t)
     width = np.zeros(centres.shape[1])
@@ -175,11 +201,15 @@ def cell_widths(sensor: Sensor, centres: Array, spacing: Array, t: float) -> Arr
         half = np.zeros((len(spacing), spacing.size // len(spacing)))
         half[axis] = spacing[axis] / 2
         # edge to centre to edge, since a sensor may turn back within a cell
-        across = sum(_lengths(whiten @ sensor.difference(
+        down, up = (_lengths(whiten @ sensor.difference(
             sensor.function(centres + side * half, t), centre)) for side in (-1, 1))
-        np.maximum(width, across, out=width)
-    found: Array = np.nan_to_num(width, nan=0.0, posinf=0.0)
-    return found
+        np.maximum(width, _or_else(down, up) + _or_else(up, down), out=width)
+    return width
+
+
+def _or_else(a: Array, b: Array) -> Array:
+    """Return a, b where that is not finite, 0 where neither is."""
+    return np.where(np.isfinite(a), a, np.where(np.isfinite(b), b, 0.0))
 
 
 def _lengths(v: Array) -> Array:
@@ -209,10 +239,15 @@ def _log_density(v: Array, changes: list[Array]) -> Array:
 
 
 def _change(sensor: Sensor, h: Array, axis: int) -> Array:
-    """Return the change of h from point to point along an axis, the larger of the two sides."""
+    """
+    Return the change of h from point to point along an axis, the larger of the two sides.
+
+    That of the only side on which it is defined, 0 where there is none.
+    """
     steps = sensor.difference(np.delete(h, 0, axis), np.delete(h, -1, axis))
     left = np.concatenate([steps.take([0], axis), steps], axis)
     right = np.concatenate([steps, steps.take([-1], axis)], axis)
+    left, right = _or_else(left, right), _or_else(right, left)
     return np.where(np.abs(left) > np.abs(right), left, right)
 
 

@@ -16,6 +16,9 @@ Field = Callable[[Array, float], Array]
 Driven = Callable[..., Array]
 Matrix = Array | Callable[[float], Array]
 
+#: A function is taken to change over so many cells, or standard deviations, but a unit at most.
+WIDTHS = 100.0
+
 
 @dataclass(frozen=True, eq=False)
 class StateModel:
@@ -33,7 +36,9 @@ class StateModel:
     x' + s (x'' - x') of a step from x' to x'': 0 is Ito's, 1/2 Stratonovich's; units: one per
     state, for the reader; inputs: the names of the components of a control u, and where there are
     any, the drift is f(x, u, t) with u (m,), its Jacobian likewise, and under(u) is the model that
-    can be asked for them; homogeneous: the states that the drift does not depend on.
+    can be asked for them; homogeneous: the states that the drift does not depend on; scale: the
+    lengths, one per state, over which f and e change where their derivatives are taken by central
+    differences, 1 for each where none is given.
     """
 
     names: tuple[str, ...]
@@ -49,6 +54,7 @@ class StateModel:
     period: float = 0.0
     inputs: tuple[str, ...] = ()
     homogeneous: tuple[int, ...] = ()
+    scale: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a constant e or Q that does not fit the states, or is none."""
@@ -56,6 +62,9 @@ class StateModel:
         if any(not 0 <= i < self.ndim for i in self.homogeneous):
             raise ValueError(f'homogeneous: expected numbers of states, 0 to {self.ndim - 1}, '
                              f'got {list(self.homogeneous)}')
+        if self.scale and (len(self.scale) != self.ndim or not all(v > 0 for v in self.scale)):
+            raise ValueError(f'scale: expected {self.ndim} positive lengths, one for each state, '
+                             f'got {list(self.scale)}')
         if not 0 <= self.period < np.inf:
             raise ValueError(f'period: expected seconds, 0 or more, got {self.period!r}')
         if not 0 <= self.s <= 1:
@@ -98,6 +107,14 @@ class StateModel:
         value, f, slope = np.array(u or (0.0,) * len(self.inputs)), self.drift, self.drift_jacobian
         return replace(self, drift=lambda x, t: f(x, value, t), inputs=(),
                        drift_jacobian=slope and (lambda x, t: slope(x, value, t)))
+
+    def at_scale(self, widths: ArrayLike) -> StateModel:
+        """Return the model whose derivatives hold on cells, or deviations, of widths (n,)."""
+        if self.drift_jacobian is not None and not self.noise_bends:
+            return self
+        given = self.scale or (1.0,) * self.ndim
+        scale = tuple(np.fmin(given, WIDTHS * np.asarray(widths, dtype=float)).tolist())
+        return self if scale == given else replace(self, scale=scale)
 
     @property
     def changes_with_time(self) -> bool:
@@ -143,7 +160,7 @@ class StateModel:
         """Return df_i/dx_j at states (n, ...), shape (n, n, ...)."""
         if self.drift_jacobian is not None:
             return np.asarray(self.drift_jacobian(x, t), dtype=float)
-        return central_differences(lambda y: self.drift(y, t), x)
+        return central_differences(lambda y: self.drift(y, t), x, self.scale)
 
     def vielbein_jacobian_at(self, x: Array, t: float) -> Array:
         """Return de_ia/dx_j at states (n, ...), shape (n, p, n, ...)."""
@@ -151,7 +168,7 @@ class StateModel:
             return np.asarray(self.vielbein_jacobian(x, t), dtype=float)
         shape = self.vielbein_at(x, t).shape
         flat = central_differences(
-            lambda y: self.vielbein_at(y, t).reshape((-1,) + shape[2:]), x)
+            lambda y: self.vielbein_at(y, t).reshape((-1,) + shape[2:]), x, self.scale)
         return flat.reshape(shape[:2] + (self.ndim,) + shape[2:])
 
     def ito_drift(self, x: Array, t: float) -> Array:
@@ -170,7 +187,7 @@ class StateModel:
         """Return the derivatives of ito_drift at states (n, ...), shape (n, n, ...)."""
         if not self.noise_bends:
             return self.jacobian(x, t)
-        return central_differences(lambda y: self.ito_drift(y, t), x)
+        return central_differences(lambda y: self.ito_drift(y, t), x, self.scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,28 +259,39 @@ class Sensor:
     def _constant_log_peak(self) -> float:
         return -0.5 * float(np.linalg.slogdet(2 * np.pi * self.noise(0.0))[1])
 
-    def jacobian(self, x: Array, t: float) -> Array:
-        """Return dh_i/dx_j at states (n, ...) by central differences, shape (m, n, ...)."""
-        return central_differences(lambda z: self.function(z, t), x, self.difference)
+    def jacobian(self, x: Array, t: float, scale: Sequence[float] | Array = ()) -> Array:
+        """
+        Return dh_i/dx_j at states (n, ...) by central differences, shape (m, n, ...).
+
+        scale: the lengths over which h changes, (n,), 1 for each where none is given.
+        """
+        return central_differences(lambda z: self.function(z, t), x, scale, self.difference)
 
 
 def central_differences(function: Callable[[Array], Array], x: Array,
+                        scale: Sequence[float] | Array = (),
                         minus: Callable[[Array, Array], Array] = np.subtract) -> Array:
     """
     Return d function_i / dx_j, shape (m, n, ...).
 
-    The step, cbrt(1e-16 max(|x|, 1)), is long against the rounding of x and short against
-    whatever a function does over a unit, also far from the origin.
+    scale: lengths L (n,), 1 for each where none is given.  The step, cbrt(1e-16 L^2 max(|x|, L)),
+    is long against the rounding of x and short against whatever a function does over L, also far
+    from the origin.
     """
     x = np.asarray(x, dtype=float)
     columns = []
-    for j in range(len(x)):
-        step = np.cbrt(np.finfo(float).eps * np.maximum(np.abs(x[j]), 1.0))
+    for j, length in enumerate(scale if len(scale) else np.ones(len(x))):
+        step = np.cbrt(np.finfo(float).eps * length**2 * np.maximum(np.abs(x[j]), length))
         up, down = x.copy(), x.copy()
         up[j] += step
         down[j] -= step
         columns.append(minus(function(up), function(down)) / (up[j] - down[j]))
     return np.stack(columns, axis=1)
+
+
+def scale_of(widths: ArrayLike) -> Array:
+    """Return the lengths over which functions change that matter on cells of widths (n,)."""
+    return np.fmin(WIDTHS * np.asarray(widths, dtype=float), 1.0)
 
 
 def _at(matrix: Matrix, t: float) -> Array:

@@ -90,6 +90,12 @@ def refined(times: ArrayLike, substeps: int) -> Array:
     return np.append(fine.ravel(), times[-1])
 
 
+def spectral_root(covariance: Array) -> Array:
+    """Return a root of a covariance by its eigenvalues, which a singular one has too."""
+    size, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes * np.sqrt(np.maximum(size, 0.0)), dtype=float)
+
+
 def _driven(model: StateModel, controls: Controls, t: float,
             dt: float) -> Iterator[tuple[float, float, StateModel]]:
     """Yield the starts, the lengths and the plain models of a step that changes of u cut."""
@@ -129,4 +135,7 @@ def _roots(sensor: Sensor, times: Array) -> Array:
 
 def _root(covariance: Array) -> Array:
     """Return what makes draws of a covariance out of independent ones."""
-    return np.asarray(np.linalg.cholesky(covariance), dtype=float)
+    try:
+        return np.asarray(np.linalg.cholesky(covariance), dtype=float)
+    except np.linalg.LinAlgError:
+        return spectral_root(covariance)

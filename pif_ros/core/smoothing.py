@@ -60,8 +60,9 @@ def smooth(filter_: DiracFeynmanFilter, prior: GridBelief,
     Return the beliefs at the prior's stamp and at each measurement's, given all measurements.
 
     The filter runs forward, then its own operators, transposed, run backward: exact for the
-    filter's discretisation.  What leaves the grid on its way is no path at all.  measurements:
-    as such or (stamp_ns, source, values); start_ns: the prior's stamp, the first measurement's
+    filter's discretisation.  What leaves the grid on its way is no path at all; where all of it
+    has, the belief of mass 0 tells nothing of what was before.  measurements: as such or
+    (stamp_ns, source, values); start_ns: the prior's stamp, the first measurement's
     where none is given; every_step: also at the ends of the filter's steps in between.  Raises
     ValueError where there is no measurement, one lies before the prior, or the filter's operator
     is in a wavelet basis, which cuts what is negative and so has no transpose.
@@ -113,13 +114,16 @@ def _backward(filter_: DiracFeynmanFilter, gaps: list[_Gap],
     yield gaps[-1].end_ns, belief
     for gap in reversed(gaps):
         # p(x' | Y) = p(x' | Y') sum_x'' K(x'', x') p(x'' | Y) / p(x'' | Y')
-        message = _ratio(belief.density.ravel(), gap.predicted.density.ravel())
+        told = belief.mass > 0
+        message = (_ratio(belief.density.ravel(), gap.predicted.density.ravel()) if told
+                   else np.ones(filter_.grid.size))
         steps = [_Step(*step) for step in filter_.steps(gap.start_ns, gap.end_ns)]
         forward = _carried(filter_, gap, steps) if every_step else {}
         for step in reversed(steps):
-            moved = step.operator_at(step.start_ns).T @ message  # type: ignore[attr-defined]
-            message = moved if step.share == 1 else (
-                step.share * moved + (1 - step.share) * message)
+            if told:
+                moved = step.operator_at(step.start_ns).T @ message  # type: ignore[attr-defined]
+                message = moved if step.share == 1 else (
+                    step.share * moved + (1 - step.share) * message)
             if step.start_ns in forward:
                 yield step.start_ns, _product(forward[step.start_ns], message)
         belief = _product(gap.before, message)
@@ -156,6 +160,8 @@ def _ratio(smoothed: Array, predicted: Array) -> Array:
 
 
 def _product(belief: GridBelief, message: Array) -> GridBelief:
-    """Return the belief times a message, of mass 1."""
+    """Return the belief times a message, of mass 1; one of mass 0 as it is."""
+    if not belief.mass > 0:
+        return belief
     density = belief.density.ravel() * message
     return GridBelief(belief.grid, density.reshape(belief.grid.shape)).normalised()

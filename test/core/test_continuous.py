@@ -353,6 +353,33 @@ def test_a_path_in_other_units_says_the_same(name):
         assert a[1] - b[1] == pytest.approx(np.log(abs(np.linalg.det(A))) if k else 0, abs=1e-6)
 
 
+@pytest.mark.parametrize('scheme', SCHEMES)
+def test_a_step_that_is_no_whole_number_of_nanoseconds_goes_as_far_as_its_time(scheme):
+    # 1 m/ns, and a path that says nothing of it
+    drifting = StateModel(('x',), lambda x, t: 0 * x + 1e9, [[3e4]])
+    nothing = {'nothing': Sensor(lambda x, t: 0 * x, [[1.0]])}
+    filter_ = dfy(scheme, drifting, nothing, Grid((0,), (100,), (200,)), 1.5e-9)
+    start = filter_.gaussian([20.0], [[4.0]])
+    *_, (last, _) = track(filter_, start, [(0, [0.0]), (24, [0.0]), (48, [0.0])])
+    assert last.mean()[0] - start.mean()[0] == pytest.approx(48, abs=1e-3)
+
+
+@pytest.mark.parametrize('name', EVERY)
+@pytest.mark.parametrize('unit', [1e-3, 1e-6])
+def test_states_in_other_units_are_the_same(name, unit):
+    def moments(unit):
+        well = StateModel(('x',), lambda x, t: x - x**3 / unit**2, [[0.6 * unit]])
+        cube = {'cube': Sensor(lambda x, t: (x / unit)**3, [[0.1]])}
+        filter_ = any_filter(name, model=well, sensors=cube, **(
+            {} if name == 'extended' else {'grid': Grid((-2 * unit,), (2 * unit,), (60,))}))
+        points = [(k * STEP, [0.05 * k]) for k in range(5)]
+        start = filter_.gaussian([0.5 * unit], [[(0.3 * unit)**2]])
+        return [(belief.mean()[0] / unit, belief.covariance()[0, 0] / unit**2, log_evidence)
+                for belief, log_evidence in track(filter_, start, points)]
+
+    np.testing.assert_allclose(moments(unit), moments(1.0), rtol=1e-6, atol=1e-6)
+
+
 @pytest.mark.parametrize('name, start_ns, tolerance', [
     # h moves on by 0.02 in a step: taken at one end instead of at both, that is half of it, which
     # in 0.4 s shifts the mean by more than 1e-3

@@ -226,6 +226,21 @@ def test_whole_steps_are_powers_and_a_rest_is_a_mixture_of_staying_and_a_step(ga
     assert np.all(found >= 0)
 
 
+@pytest.mark.parametrize('form', ['tabulated', 'split'])
+@pytest.mark.parametrize('step_ns', [1.5, 2.4, 7.7])
+def test_a_step_that_is_no_whole_number_of_nanoseconds_goes_as_far_as_its_time(form, step_ns):
+    # 1 m/ns, and noise of a cell or so
+    model = StateModel(('x',), lambda x, t: 0 * x + 1e9, [[3e4]])
+    filter_ = DiracFeynmanFilter(model, Grid((0,), (100,), (200,)), {},
+                                 KernelSettings(step_ns * 1e-9, form=form))
+    start = filter_.gaussian([20.0], [[4.0]])
+    moved = filter_.predict(start, 0, 48)
+    # whole steps of 2 and 8 ns; what leaves the grid is less than 1e-6
+    assert moved.mean()[0] - start.mean()[0] == pytest.approx(48, abs=1e-3)
+    assert (moved.covariance() - start.covariance())[0, 0] == pytest.approx(
+        9e8 * 48e-9, rel=0.01)
+
+
 def test_no_time_changes_nothing_and_time_does_not_run_backwards():
     p = GridBelief.uniform(OU.grid)
     np.testing.assert_array_equal(OU.predict(p, 5, 5).density, p.density)

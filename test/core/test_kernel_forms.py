@@ -127,6 +127,25 @@ def test_correlated_noise_is_split_as_far_as_each_axis_has_noise_of_its_own():
     assert form(model=changing, grid=grid) == 'tabulated'
 
 
+@pytest.mark.parametrize('asked', [AUTO, SPLIT])
+def test_where_noise_comes_to_be_correlated_a_split_kernel_gives_way_to_a_tabulated_one(asked):
+    def noise(t):
+        share = 0.0 if t < 1 else 0.4
+        return 2.5 * (share + (1 - share) * np.eye(4))
+
+    model = StateModel(tuple('abcd'), lambda x, t: 0 * x, np.eye(4), noise)
+    grid = Grid((-3.5,) * 4, (3.5,) * 4, (7,) * 4)
+    made = filter_(replace(asked, time_step=0.2), model, grid)
+    assert made.form == 'split'
+    p = np.zeros(grid.shape)
+    p[3, 3, 3, 3] = 1.0
+    for t in (0, 2):
+        belief = made.predict(GridBelief(grid, p), int(t * 1e9), int((t + 0.2) * 1e9))
+        assert isinstance(made.kernel_at(int(t * 1e9)), SplitKernel) == (t == 0)
+        # cut at five standard deviations
+        np.testing.assert_allclose(belief.covariance(), 0.2 * noise(t), atol=2e-3)
+
+
 def test_the_number_of_weights_is_known_beforehand():
     for model, grid, settings in (
             (SYSTEM.model, GRID, AUTO), (SYSTEM.model, GRID, replace(AUTO, time_step=0.05)),

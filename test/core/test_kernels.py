@@ -729,3 +729,20 @@ def test_inflated_noise_spreads_a_step_by_the_square_root_of_alpha_dx_eps(weight
     # a tail of 1e-5 is left out, which holds 1.3e-4 of a variance
     np.testing.assert_allclose(spread[..., middle], 0.5 * 3.0 * np.diag([1.0, 0.25]),
                                rtol=1e-3, atol=1e-12)
+
+
+@pytest.mark.parametrize('unit', [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize('jacobian', ['determinant', 'exponential'])
+@pytest.mark.parametrize('bends', [False, True])
+def test_a_kernel_does_not_know_the_units_of_its_states(unit, jacobian, bends):
+    # a double well without a derivative, in noise that bends with the state or does not
+    def kernel(unit):
+        more = {'multiplicative': True, 's': 0.5} if bends else {}
+        model = StateModel(
+            ('x',), lambda x, t: x - x**3 / unit**2,
+            (lambda x, t: 0.3 * np.sqrt(unit**2 + x * x)[None]) if bends else [[0.6 * unit]],
+            **more)
+        grid = Grid((-2 * unit,), (2 * unit,), (60,))
+        return dirac_feynman(model, grid, KernelSettings(0.1, jacobian=jacobian)).toarray()
+
+    np.testing.assert_allclose(kernel(unit), kernel(1.0), atol=1e-9)

@@ -8,6 +8,7 @@ from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
 from pif_ros.core.likelihood import GridLikelihood
 from pif_ros.core.models import Sensor
+from pif_ros.core.posterior import Terms
 from pif_ros.core.systems import bearing_sensor, range_sensor
 import pytest
 from scipy import stats
@@ -199,3 +200,66 @@ def test_what_is_asked_for_once_is_what_it_is_for_many(cells):
     assert np.ptp(many) > 100
     np.testing.assert_array_equal(
         GridLikelihood(grid, sensor, once=True).log(y, p, 0.0, cells), many)
+
+
+@pytest.mark.parametrize('h, y', [
+    (lambda x: np.exp(x), np.exp(0.8)),
+    # the field of a beacon, all but infinite in the middle cell
+    (lambda x: 1 / np.maximum(np.abs(x - 20), 1e-9)**2, 0.25),
+    (lambda x: np.exp(17 * x), 1.7),
+    # a measurement, not the grid, that is far away
+    (lambda x: x, 1e5),
+])
+@pytest.mark.parametrize('cells', [None, np.arange(0, 399, 3)])
+def test_however_wide_the_range_of_a_sensor_no_digits_are_lost(h, y, cells):
+    grid = Grid((0,), (40,), (401,))
+    x = grid.axes[0] if cells is None else grid.axes[0][cells]
+    p = np.full(len(x), 1 / 40)
+    found = GridLikelihood(grid, Sensor(lambda x, t: h(x), [[0.01]]), average_cells=False).log(
+        np.array([y]), p, 0.0, cells)
+    with np.errstate(over='ignore'):
+        exact = stats.norm(h(x), 0.1).logpdf(y)
+    np.testing.assert_allclose(found, exact, rtol=1e-9, atol=1e-9)
+
+
+def test_a_sensor_of_moderate_range_is_taken_by_its_terms_though_it_is_undefined_somewhere():
+    grid = Grid((0,), (40,), (401,))
+    for nothing in (np.nan, np.inf):
+        sensor = Sensor(lambda x, t: np.where(x < 30, x, nothing), [[0.01]])
+        likelihood = GridLikelihood(grid, sensor, average_cells=False)
+        assert isinstance(likelihood.terms(np.array([3.0]), flat(grid), 0.0), Terms)
+
+
+@pytest.mark.parametrize('edge', [1.9999, 1.95, 2.0001, 3.9])
+@pytest.mark.parametrize('side', [1, -1])
+def test_up_to_the_edge_of_a_field_of_view_no_measurement_is_lost_between_cells(edge, side):
+    # y = x + w on cells of twenty deviations, all alike before: 1 / 4 for whatever is seen
+    grid = Grid((min(0, 4 * side),), (max(0, 4 * side),), (20,))
+    sensor = Sensor(lambda x, t: np.where(side * x < edge, x, np.nan), [[1e-4]])
+    for y in (1.7, 1.83, 1.87, 1.9, 1.93):
+        log_l = GridLikelihood(grid, sensor).log(np.array([side * y]), flat(grid), 0.0)
+        evidence = np.nansum(np.exp(log_l)) * 0.2 / 4
+        # all that is seen of it, and points that are a quarter of a deviation apart
+        seen = stats.norm(y, 0.01).cdf(edge)
+        assert evidence == pytest.approx(0.25 * seen, rel=0.1)
+
+
+@pytest.mark.parametrize('y', [0.205, 0.21, 0.29, 0.3])
+def test_a_hole_in_a_field_of_view_is_the_same_from_either_side(y):
+    grid, evidence = Grid((-2,), (2,), (20,)), []
+    for side in (1, -1):
+        sensor = Sensor(lambda x, t, side=side: np.where(
+            (side * x > 0.221) & (side * x < 0.28), np.nan, x), [[0.003**2]])
+        log_l = GridLikelihood(grid, sensor).log(np.array([side * y]), flat(grid), 0.0)
+        evidence.append(np.nansum(np.exp(log_l)) * 0.2 / 4)
+    np.testing.assert_allclose(evidence, 0.25, rtol=0.1)
+
+
+def test_a_sensor_of_two_numbers_sees_along_the_edge_of_its_half_plane():
+    grid, evidence = Grid((0, 0), (4, 4), (20, 20)), []
+    for side in (1, -1):
+        sensor = Sensor(lambda x, t, side=side: np.where(
+            side * (x[:1] - 2) < -1e-3, x[1:], np.nan), [[1e-4]])
+        log_l = GridLikelihood(grid, sensor).log(np.array([2.03]), flat(grid), 0.0)
+        evidence.append(np.nansum(np.exp(log_l)) * 0.04 / 16)
+    np.testing.assert_allclose(evidence, 1 / 8, rtol=0.1)

@@ -167,3 +167,32 @@ def test_refuses_a_control_of_another_length_and_states_that_it_has_not():
         driven_model().under((1.0,))
     with pytest.raises(ValueError, match='^homogeneous: expected numbers of states, 0 to 0, got'):
         StateModel(('a',), still, np.eye(1), homogeneous=(1,))
+
+
+@given(st.integers(-30, 0), st.floats(-100, 100))
+def test_central_differences_go_with_the_scale_of_a_function(power, place):
+    length = 2.0**power
+    found = central_differences(lambda x: length * np.sin(x / length),
+                                np.array([length * place]), [length])
+    # a step of cbrt(2e-16 * 100), squared over 6
+    assert found[0, 0] == pytest.approx(np.cos(place), abs=1e-9)
+
+
+def test_a_model_takes_its_derivatives_on_the_cells_it_is_asked_for_and_a_unit_at_most():
+    micro = StateModel(('x', 'y'), lambda x, t: np.sin(x * np.array([[1e6], [1.0]])), np.eye(2))
+    x, exact = np.full((2, 1), 3e-7), [[1e6 * np.cos(0.3), 0], [0, np.cos(3e-7)]]
+    found = micro.at_scale([1e-7, 1.0]).jacobian(x, 0.0)[..., 0]
+    np.testing.assert_allclose(found, exact, rtol=1e-6, atol=1e-6)
+    assert micro.at_scale([0.01, 1e9]) is micro
+    given = StateModel(('x', 'y'), still, np.eye(2), scale=(1e-3, 1e-9))
+    assert given.at_scale([1e-6, 1e-6]).scale == pytest.approx((1e-4, 1e-9))
+    mega = StateModel(('x', 'y'), still, np.eye(2), scale=(1e6, 1.0))
+    assert mega.at_scale([1e5, 1e5]) is mega
+    analytic = StateModel(('x',), still, np.eye(1), drift_jacobian=lambda x, t: 0 * x[None])
+    assert analytic.at_scale([1e-6]) is analytic
+
+
+@pytest.mark.parametrize('scale', [(1.0,), (1.0, 0.0), (1.0, np.nan), (-1.0, 1.0)])
+def test_a_scale_is_a_length_for_each_state(scale):
+    with pytest.raises(ValueError, match='^scale: expected 2 positive lengths, .* got'):
+        StateModel(('x', 'y'), still, np.eye(2), scale=scale)

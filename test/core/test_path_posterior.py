@@ -119,6 +119,25 @@ def test_the_gradient_is_that_of_finite_differences(name, r, jacobian):
             np.testing.assert_allclose(slope[i, k], difference, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize('unit', [1e-3, 1e-6])
+@pytest.mark.parametrize('jacobian', ['determinant', 'exponential'])
+def test_a_path_does_not_know_the_units_of_its_states(unit, jacobian):
+    def posterior(unit):
+        well = StateModel(('x',), lambda x, t: x - x**3 / unit**2, [[0.6 * unit]])
+        cube = {'cube': Sensor(lambda x, t: (x / unit)**3, [[0.1]])}
+        return PathPosterior(well, cube, KernelSettings(0.1, jacobian=jacobian), [0.5 * unit],
+                             [[(0.3 * unit)**2]], [(500 * MS, 'cube', [0.4])], 0)
+
+    path = np.random.default_rng(4).normal(0.5, 0.4, size=(1, 6, 1))
+    one, other = posterior(1.0), posterior(unit)
+    assert other.log_density(path * unit)[0] + 6 * np.log(unit) == pytest.approx(
+        one.log_density(path)[0], abs=1e-6)
+    # a second derivative by differences of differences
+    np.testing.assert_allclose(other.gradient(path * unit) * unit, one.gradient(path), atol=2e-4)
+    for found, wanted in zip(other.curvature(path * unit), one.curvature(path)):
+        np.testing.assert_allclose(found * unit**2, wanted, rtol=1e-6, atol=1e-6)
+
+
 def test_a_step_is_the_kernels_own():
     for r, jacobian in WAYS:
         posterior = POSTERIORS['all in time'](r, jacobian)
@@ -192,6 +211,8 @@ def posterior_of(**changes):
                                                    'multiplicative'),
     ({'model': StateModel(('a', 'b'), drift, np.array([[1.0], [0.0]]))},
      'model: e Q e^T: expected a positive definite matrix, got [[1.0, 0.0], [0.0, 0.0]]'),
+    ({'model': StateModel(('a', 'b'), lambda x, u, t: 0 * x, np.eye(2), inputs=('u', 'v'))},
+     'model: expected one without inputs, got u, v'),
     ({'mean': [0.0]}, 'mean: expected 2 finite numbers, got [0.0]'),
     ({'mean': [0.0, float('inf')]}, 'mean: expected 2 finite numbers, got [0.0, inf]'),
     ({'covariance': np.eye(3)}, 'covariance: expected 2 x 2 numbers, got 3 x 3'),

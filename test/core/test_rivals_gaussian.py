@@ -358,3 +358,33 @@ def test_a_range_far_from_the_origin_of_the_map_has_the_slope_of_one_near_it():
     x = np.array([500_000.0, 4_500_000.0])
     sensor = range_sensor(x + [3, 4], 0.1)
     np.testing.assert_allclose(sensor.jacobian(x, 0.0), [[-0.6, -0.8]], atol=1e-4)
+
+
+@BOTH
+@pytest.mark.parametrize('unit', [1e-3, 1e-6])
+@pytest.mark.parametrize('start', [0.05, 1e-6])
+def test_a_belief_does_not_know_the_units_of_its_states(kind, unit, start):
+    def moments(unit):
+        well = StateModel(('x',), lambda x, t: x - x**3 / unit**2, [[0.2 * unit]])
+        square = Sensor(lambda x, t: x**2 / unit, [[(0.1 * unit)**2]])
+        filter_ = kind(well, {'square': square}, 0.01)
+        belief = filter_.gaussian([0.9 * unit], [[(start * unit)**2]])
+        belief = filter_.predict(belief, 0, SECOND)
+        belief, log_evidence = filter_.correct(belief, [0.8 * unit], 'square', SECOND)
+        return (belief.mean()[0] / unit, belief.covariance()[0, 0] / unit**2,
+                log_evidence + np.log(unit))
+
+    np.testing.assert_allclose(moments(unit), moments(1.0), rtol=1e-6)
+
+
+def test_a_derivative_is_one_where_nothing_is_uncertain_yet():
+    # the place has no noise but the speed's, and was known exactly
+    model = StateModel(('x', 'v'), lambda x, t: np.stack([x[1], 1 - np.sin(x[0])]),
+                       [[0.0], [0.3]])
+    filter_ = ExtendedKalmanFilter(model, {}, 0.1)
+    belief = GaussianBelief(np.array([0.0, 0.5]), np.zeros((2, 2)))
+    given = ExtendedKalmanFilter(StateModel(
+        model.names, model.drift, model.vielbein, drift_jacobian=lambda x, t: np.array(
+            [[0, 1], [-np.cos(x[0]), 0]])), {}, 0.1)
+    np.testing.assert_allclose(filter_.predict(belief, 0, SECOND).covariance(),
+                               given.predict(belief, 0, SECOND).covariance(), rtol=1e-7)

@@ -76,6 +76,24 @@ def test_noise_of_a_rectangular_vielbein_has_the_covariance_e_q_e(multiplicative
     check_moments(x, [1.0, -2.0], 0.7 * E @ Q @ E.T)
 
 
+@pytest.mark.parametrize('multiplicative', [False, True])
+def test_noise_that_is_silent_at_times_is_none_then(multiplicative):
+    # one of two noises from 1 s on, both of them from 2 s on
+    def noise(t):
+        return np.diag([2.0 if t >= 1 else 0.0, 0.5 if t >= 2 else 0.0])
+
+    e = np.array([[1.0, 0.0], [0.5, 1.0]])
+    model = StateModel(('a', 'b'), lambda x, t: 0 * x, (
+        lambda x, t: e[..., None] + 0 * x) if multiplicative else e, noise,
+        multiplicative=multiplicative, time_dependent=multiplicative)
+    silent, one, both = np.diff(simulate(model, np.zeros((2, 20_000)), np.arange(4.0), rng()),
+                                axis=0)
+    assert not silent.any()
+    np.testing.assert_allclose(one[1], 0.5 * one[0], atol=1e-12)
+    check_moments(one[:1], [0], [[2.0]])
+    check_moments(both, [0, 0], e @ noise(2) @ e.T)
+
+
 def test_an_ornstein_uhlenbeck_process_has_its_exact_moments():
     model = SYSTEMS['ornstein_uhlenbeck'](a=1.5, sigma=0.8).model
     x = last(model, start(2.0, count=20_000), 1.0, 200)

@@ -178,6 +178,24 @@ def test_a_measurement_that_no_cell_allows_says_nothing():
 # Refusals
 
 
+@pytest.mark.parametrize('every_step', [False, True])
+def test_once_all_has_left_the_grid_what_was_before_is_what_was_measured_until_then(every_step):
+    grid = Grid((0,), (10,), (50,))
+    drifting = StateModel(('x',), lambda x, t: 0 * x + 20, np.eye(1) * 0.3)
+    filter_ = DiracFeynmanFilter(drifting, grid, {'place': direct(1.0)}, KernelSettings(0.1))
+    prior = filter_.gaussian([3], [[0.5]])
+    seen, unseen = (STEP, 'place', [5.0]), [(t * STEP, 'place', [5.0]) for t in (20, 25)]
+    assert filter_.predict(prior, 0, 20 * STEP).mass == 0
+    found = smooth(filter_, prior, [seen, *unseen], 0, every_step)
+    until = smooth(filter_, prior, [seen], 0)
+    for stamp, belief in zip(until.stamps_ns, until.beliefs):
+        np.testing.assert_allclose(found.at(stamp).density, belief.density, rtol=1e-12)
+    for stamp in (20 * STEP, 25 * STEP):
+        assert not found.at(stamp).density.any()
+    assert all(np.all(np.isfinite(belief.density)) for belief in found.beliefs)
+    assert found.log_evidence == pytest.approx(until.log_evidence, rel=1e-12)
+
+
 @pytest.mark.parametrize('call, line', [
     (lambda: smooth(OU, PRIOR, []), 'measurements: expected at least one, got none'),
     (lambda: smooth(OU, PRIOR, [(3, 'place', [0.0])], 4),

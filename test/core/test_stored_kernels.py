@@ -175,8 +175,8 @@ def test_another_kernel_is_refused_with_both_names(file):
     assert refusal(file, other).endswith(
         f'fingerprint (of model, grid and settings) {other}, got {MARK}')
     assert refusal(file, size=401).endswith('number of cells 401, got 400')
-    forged(file, version=2)
-    assert refusal(file).endswith('the format 1, got 2')
+    forged(file, version=3)
+    assert refusal(file).endswith('the format 2, got 3')
 
 
 @pytest.mark.parametrize('fields', [
@@ -287,6 +287,35 @@ def test_multiplicative_noise_is_told_apart_by_its_values_and_its_sense():
         dataclasses.replace(geometric_brownian_motion().model, s=0.5),
         dataclasses.replace(geometric_brownian_motion().model, vielbein_jacobian=None))}
     assert len(marks) == 4
+
+
+@pytest.mark.parametrize('unit', [1.0, 1e-6, 1e-9])
+def test_what_is_small_for_its_units_alone_is_told_apart(unit):
+    # a double well, and what a bead does in water: 1e-13 m^2/s
+    def mark(drift=1.0, slope=1.0, noise=1.0, bend=1.0, multiplicative=False):
+        e, names, grid = unit * noise * np.eye(2), ('x', 'y'), Grid(
+            (-2 * unit,) * 2, (2 * unit,) * 2, (20, 20))
+        model = StateModel(
+            names, lambda x, t: drift * (x - x**3 / unit**2),
+            (lambda x, t: e[:, :, None] + 0 * x) if multiplicative else e,
+            drift_jacobian=lambda x, t: slope * np.eye(2)[:, :, None] * (1 - 3 * x**2 / unit**2),
+            multiplicative=multiplicative, vielbein_jacobian=lambda x, t: np.full(
+                (2, 2, 2, x.shape[1]), bend))
+        return fingerprint(model, grid, SETTINGS)
+
+    changes = [{}, {'drift': 1.1}, {'slope': 1.1}, {'noise': 1.1}]
+    assert len({mark(**change) for change in changes}) == 4
+    assert len({mark(**change, multiplicative=True) for change in [*changes, {'bend': 1.1}]}) == 5
+
+
+@pytest.mark.parametrize('unit', [1e-6, 1e6])
+def test_noise_in_seconds_is_told_apart_by_its_correlation_however_small(unit):
+    grid = Grid((-1, -1), (1, 1), (20, 20))
+    marks = {fingerprint(StateModel(
+        ('x', 'y'), lambda x, t: 0 * x, lambda x, t: np.eye(2)[:, :, None] / unit + 0 * x,
+        unit**2 * np.array([[1.0, share], [share, 1.0]]), multiplicative=True), grid, SETTINGS)
+        for share in (0.0, 1e-3, 0.5)}
+    assert len(marks) == 3
 
 
 def test_a_fingerprint_holds_at_its_time_only_where_the_model_changes():

@@ -55,7 +55,8 @@ def parting_rate(model: StateModel, window: Window, from_ns: int, to_ns: int,
     x = np.stack(np.meshgrid(*some, indexing='ij')).reshape(len(some), -1)
     scale, rate = window.spacing, 0.0
     for start_ns, _, u in controls.between(from_ns, to_ns):
-        J = model.under(u).jacobian(x, start_ns / NANOSECONDS)
+        driven = model.under(u).at_scale(window.base.spacing)
+        J = driven.jacobian(x, start_ns / NANOSECONDS)
         sums = np.einsum('ijk,j->ik', np.abs(J), scale) / scale[:, None]
         rate = max(rate, float(np.nan_to_num(sums, posinf=0.0).max()))
     return rate

@@ -121,4 +121,6 @@ class DiracFeynmanYauFilter:
             return Symmetric(self._state, increments)
         if self.scheme == 'splitting':
             return Splitting(self._state, increments)
-        return YauSteps(self.model, self.grid, self.kernel, increments, self.scheme == 'post')
+        # with the step that the state's filter has made of the settings'
+        return YauSteps(self.model, self.grid, self._state.kernel, increments,
+                        first=self.scheme == 'post')

@@ -111,12 +111,6 @@ def with_path(model: StateModel, sensor: Sensor) -> StateModel:
     def drift(x: Array, *at: Any) -> Array:
         return np.concatenate([model.drift(x[:n], *at), sensor.function(x[:n], at[-1])])
 
-    def jacobian(x: Array, *at: Any) -> Array:
-        D, t = np.zeros((n + m,) * 2 + x.shape[1:]), at[-1]
-        plain = model.under(at[0]) if model.inputs else model
-        D[:n, :n], D[n:, :n] = plain.jacobian(x[:n], t), sensor.jacobian(x[:n], t)
-        return D
-
     def vielbein(x: Array, t: float) -> Array:
         return np.pad(model.vielbein_at(x[:n], t), [(0, m)] + [(0, 0)] * x.ndim)
 
@@ -128,6 +122,6 @@ def with_path(model: StateModel, sensor: Sensor) -> StateModel:
     else:
         e = additive if callable(e) else additive(0.0)
     names = model.names + tuple(f'path {k}' for k in range(m))
-    return StateModel(names, drift, e, Q, jacobian, multiplicative=model.multiplicative, s=model.s,
+    return StateModel(names, drift, e, Q, multiplicative=model.multiplicative, s=model.s,
                       time_dependent=model.time_dependent or sensor.time_dependent,
-                      inputs=model.inputs)
+                      inputs=model.inputs, scale=model.scale and model.scale + (1.0,) * m)

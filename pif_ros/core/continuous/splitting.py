@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.continuous.increments import Increments
 from pif_ros.core.filters import DiracFeynmanFilter, NANOSECONDS
-from pif_ros.core.models import Sensor, StateModel
+from pif_ros.core.grid import Grid
+from pif_ros.core.models import scale_of, Sensor, StateModel
 
 Array = NDArray[np.float64]
 
@@ -96,13 +97,14 @@ class Symmetric:
     @cached_property
     def _spread(self) -> Callable[[int], Array]:
         return lru_cache(maxsize=2)(lambda at_ns: slope_spread(
-            self.state.model, self.increments.path, self.state.grid.points, at_ns / NANOSECONDS))
+            self.state.model, self.increments.path, self.state.grid, at_ns / NANOSECONDS))
 
 
 @np.errstate(all='ignore')
-def slope_spread(model: StateModel, sensor: Sensor, x: Array, t: float) -> Array:
-    """Return W H g H^T W^T, C^-1 = W^T W, at states (n, N), (N, m, m); 0 where h has no slope."""
+def slope_spread(model: StateModel, sensor: Sensor, grid: Grid, t: float) -> Array:
+    """Return W H g H^T W^T, C^-1 = W^T W, on a grid, (size, m, m); 0 where h has no slope."""
     W = np.linalg.inv(np.linalg.cholesky(sensor.noise(t)))
-    WH = np.einsum('ij,jkn->nik', W, sensor.jacobian(x, t))
+    x, scale = grid.points, scale_of(grid.spacing)
+    WH = np.einsum('ij,jkn->nik', W, sensor.jacobian(x, t, scale))
     spread = WH @ np.moveaxis(model.diffusion_at(x, t), -1, 0) @ WH.swapaxes(1, 2)
     return np.where(np.all(np.isfinite(spread), axis=(1, 2), keepdims=True), spread, 0.0)

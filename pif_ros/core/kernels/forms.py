@@ -63,8 +63,13 @@ def chosen_form(model: StateModel, grid: Grid, settings: KernelSettings,
 
 def step_kernel(model: StateModel, grid: Grid, settings: KernelSettings, how: OperatorSettings,
                 form: str, t: float = 0.0) -> sparse.csr_array | SplitKernel:
-    """Return the kernel of one step from time t in a form, a tabulated one from its file."""
-    if form == 'split':
+    """
+    Return the kernel of one step from time t in a form, a tabulated one from its file.
+
+    Where noise that changes with time has come to be correlated, it is tabulated in any form.
+    """
+    if form == 'split' and not (_noise_changes(model)
+                                and _is_correlated(model, grid, settings, t)):
         return split_kernel(model, grid, settings, t)
     return kernel_of(model, grid, settings, how, t)
 
@@ -180,7 +185,7 @@ def _hindrance(model: StateModel, grid: Grid, settings: KernelSettings,
     variance = variance_in_cells(model, grid, settings, 0.0)[..., 0]
     if not np.any(variance - np.diag(np.diag(variance))):
         return ''
-    if callable(model.vielbein) or callable(model.noise_covariance):
+    if _noise_changes(model):
         return 'where correlated noise changes with time'
     try:
         along = np.sqrt(integer_directions(variance)[0])
@@ -190,3 +195,16 @@ def _hindrance(model: StateModel, grid: Grid, settings: KernelSettings,
         return (f"where the correlation leaves axis '{model.names[int(np.argmin(along))]}' noise "
                 f'of {along.min():.2g} cells per step of its own ({LEAST:g} wanted)')
     return ''
+
+
+def _noise_changes(model: StateModel) -> bool:
+    """Return whether additive noise changes with time."""
+    return callable(model.vielbein) or callable(model.noise_covariance)
+
+
+def _is_correlated(model: StateModel, grid: Grid, settings: KernelSettings, t: float) -> bool:
+    """Return whether the noise of a step from time t goes along other directions than the axes."""
+    try:
+        return bool(integer_directions(variance_in_cells(model, grid, settings, t)[..., 0])[1])
+    except ValueError:
+        return True

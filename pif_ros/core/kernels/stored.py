@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 MAGIC = b'PIF-KERN'
 #: Goes up with the layout of the file, and with what a kernel of the same settings is.
-VERSION = 1
+VERSION = 2
 #: Magic, version, bytes of an index, fingerprint, cells, weights, and the payload's checksum; the
 #: checksum of all these follows.  Then come CSR's row pointers, columns and weights, all little
 #: endian.
@@ -34,7 +34,7 @@ CHECKSUM = struct.Struct('<I')
 BITS = 26
 #: Settings that a tabulated kernel does not depend on.
 FREE = ('form', 'macro_error', 'precision')
-#: A smaller value is the rounding of a nought.
+#: A smaller value, in cells and steps, is the rounding of a nought.
 NOTHING = 1e-12
 
 
@@ -43,8 +43,8 @@ def fingerprint(model: StateModel, grid: Grid, settings: KernelSettings, t: floa
     Return what identifies the kernel of a step from time t: 64 hexadecimal digits.
 
     Models are functions, so they are told apart by their values, on all cells, at the centre and
-    at two corners: drift, vielbein and their derivatives as far as they are given, and the noise.
-    No sensor plays a part.
+    at two corners: drift, vielbein and their derivatives as far as they are given, and the noise,
+    all of them in cells per step, so that the units play no part.  Nor does any sensor.
     """
     digest = hashlib.sha256(repr((
         VERSION, grid.lower, grid.upper, grid.shape, grid.periodic, float(model.s),
@@ -53,7 +53,8 @@ def fingerprint(model: StateModel, grid: Grid, settings: KernelSettings, t: floa
     tau = t + settings.r * settings.time_step
     for part in (0.0, -0.5, 0.5):
         with np.errstate(all='ignore'):
-            for values in _values(model, grid.points + part * grid.spacing[:, None], tau):
+            x = grid.points + part * grid.spacing[:, None]
+            for values in _values(model, x, tau, grid.spacing, settings.time_step):
                 digest.update(_digits(values))
     return digest.hexdigest()
 
@@ -113,18 +114,32 @@ def load_kernel(path: str | os.PathLike[str], fingerprint: str, size: int) -> sp
                             shape=(size, size))
 
 
-def _values(model: StateModel, x: Array, t: float) -> Iterator[Array]:
-    """Give all that a kernel asks a model at states (n, N)."""
-    yield model.drift(x, t)
+def _values(model: StateModel, x: Array, t: float, spacing: Array,
+            eps: float) -> Iterator[Array]:
+    """Give all that a kernel asks a model at states (n, N), in cells per step of eps seconds."""
+    cells = 1 / spacing
+    yield eps * _scaled(model.drift(x, t), cells)
     if model.drift_jacobian is not None:
-        yield model.jacobian(x, t)
+        yield eps * _scaled(model.jacobian(x, t), cells, spacing)
     if not model.multiplicative:
-        yield model.diffusion(t)
+        yield eps * _scaled(model.diffusion(t), cells, cells)
         return
-    yield model.noise(t)
-    yield model.vielbein_at(x, t)
+    Q = model.noise(t)
+    size = np.sqrt(np.diag(Q))
+    size[size == 0] = 1.0
+    yield _scaled(Q, 1 / size, 1 / size)
+    size *= np.sqrt(eps)
+    yield _scaled(model.vielbein_at(x, t), cells, size)
     if model.vielbein_jacobian is not None:
-        yield model.vielbein_jacobian_at(x, t)
+        yield _scaled(model.vielbein_jacobian_at(x, t), cells, size, spacing)
+
+
+def _scaled(values: Array, *scales: Array) -> Array:
+    """Return values with each of their first axes scaled."""
+    scaled = np.asarray(values, dtype=float)
+    for axis, scale in enumerate(scales):
+        scaled = scaled * scale.reshape((-1,) + (1,) * (scaled.ndim - axis - 1))
+    return scaled
 
 
 def _digits(values: Array) -> bytes:

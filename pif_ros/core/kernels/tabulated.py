@@ -33,7 +33,7 @@ def dirac_feynman(model: StateModel, grid: Grid, settings: KernelSettings,
     asked for a singular diffusion matrix, or a determinant for noise with s > 0 and an e that is
     not square.
     """
-    model = _inflated(model, grid, settings)
+    model = _inflated(model.at_scale(grid.spacing), grid, settings)
     parts = [_tabulated(grid, stencil, cells, settings.extent)
              for stencil, cells in choose_stencils(model, grid, settings, t)]
     kernel = functools.reduce(operator.add, parts)

@@ -13,7 +13,7 @@ from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.kernels.formula import action, drift_terms
 from pif_ros.core.kernels.settings import KernelSettings
-from pif_ros.core.models import central_differences, Sensor, StateModel
+from pif_ros.core.models import central_differences, scale_of, Sensor, StateModel
 from pif_ros.core.smoothing import in_order
 
 Array = NDArray[np.float64]
@@ -67,12 +67,16 @@ class PathPosterior:
         n, put = self.model.ndim, object.__setattr__
         if self.model.multiplicative:
             raise ValueError('model: expected additive noise, got multiplicative')
+        if self.model.inputs:
+            raise ValueError('model: expected one without inputs, '
+                             f'got {", ".join(self.model.inputs)}')
         put(self, 'mean', np.array(self.mean, dtype=float))
         put(self, 'covariance', np.array(self.covariance, dtype=float))
         if np.shape(self.mean) != (n,) or not np.all(np.isfinite(self.mean)):
             raise ValueError(f'mean: expected {n} finite numbers, '
                              f'got {np.asarray(self.mean).tolist()}')
         check_covariance('covariance', np.asarray(self.covariance), n)
+        put(self, 'model', self.model.at_scale(self._deviations))
         put(self, 'measurements', tuple(in_order(self.measurements, self.start_ns)))
         for m in self.ordered:
             self._check(m)
@@ -192,7 +196,7 @@ class PathPosterior:
             slope[:, 1:][:, steps.index] += at_to
         for seen in self.seen:
             x = paths[:, seen.index]
-            v, H = _residual(seen, x, slice(None)), seen.sensor.jacobian(x, seen.t)
+            v, H = _residual(seen, x, slice(None)), self._slopes(seen, x)
             u = np.tensordot(np.linalg.inv(seen.sensor.noise(seen.t)), v, axes=1)
             slope[:, seen.index] += share * np.einsum('ij...,i...->j...', H, u)
         return slope
@@ -216,7 +220,7 @@ class PathPosterior:
             diagonal[:-1][steps.index] += _average(B, P, B)
             below[steps.index] -= _average(A, P, B)
         for seen in self.seen:
-            H = seen.sensor.jacobian(paths[:, seen.index], seen.t)
+            H = self._slopes(seen, paths[:, seen.index])
             P = share * np.linalg.inv(seen.sensor.noise(seen.t))
             diagonal[seen.index] += _average(H, P, H)
         return diagonal, below
@@ -228,6 +232,14 @@ class PathPosterior:
             for place, k in enumerate(seen.index):
                 found.setdefault(int(k), []).append((seen, place))
         return found
+
+    @cached_property
+    def _deviations(self) -> Array:
+        return np.sqrt(np.diag(np.asarray(self.covariance)))
+
+    def _slopes(self, seen: Seen, x: Array) -> Array:
+        """Return dh_i/dx_j of a sensor at states (n, ...), shape (m, n, ...)."""
+        return seen.sensor.jacobian(x, seen.t, scale_of(self._deviations))
 
     @cached_property
     def _precision(self) -> Array:
@@ -282,7 +294,7 @@ def _log_jacobian_gradient(model: StateModel, x: Array, D: Array, settings: Kern
     """Return the derivatives by x (n, ...) of log |det(1 - r eps D)|, or of -r eps div f."""
     r_eps = settings.r * settings.time_step
     # d D_ij / dx_k stands at [i, k, j]
-    change = central_differences(lambda y: model.jacobian(y, tau), x)
+    change = central_differences(lambda y: model.jacobian(y, tau), x, model.scale)
     if settings.jacobian == 'exponential':
         return np.asarray(-r_eps * np.einsum('iki...->k...', change))
     # d log |det A| = tr(A^-1 dA)

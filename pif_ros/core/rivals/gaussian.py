@@ -15,7 +15,7 @@ from pif_ros.core.belief import check_covariance, GridBelief
 from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.grid import Grid
-from pif_ros.core.models import Sensor, StateModel
+from pif_ros.core.models import scale_of, Sensor, StateModel
 from pif_ros.core.modes import Mode, MOST, SHARE
 from pif_ros.core.predictive import Predictive
 from pif_ros.core.rivals.passage import (check_box, circles, driven_steps, known, LARGEST,
@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 #: A wrapped Gaussian is summed over this many turns to either side at most.
 TURNS = 6
+#: No derivative is taken for a narrower deviation, against which rounding would be too large.
+NARROWEST = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,6 +240,9 @@ class ExtendedKalmanFilter(GaussianFilter):
         and from a moment of it to its end: a Runge-Kutta step for m and A, Hermite's cubics for
         the middle, Simpson's rule for the integral.  It is positive definite for any h.
         """
+        g = self._diffusion
+        start = g(m, t)
+        model = model.at_scale(_widths(P + h * start))
         f, F, one = model.ito_drift, model.ito_jacobian, np.eye(len(m))
 
         def slopes(x: Array, A: Array, t: float) -> tuple[Array, Array]:
@@ -253,20 +258,19 @@ class ExtendedKalmanFilter(GaussianFilter):
         middle = (m + end) / 2 + h / 8 * (k1 - k5)
         # dB/ds = -B F, from A at the start to 1 at the end
         B = (A + one) / 2 + h / 8 * (K5 - A @ K1)
-        g = self._diffusion
-        P = (A @ (P + h / 6 * g(m, t)) @ A.T + h * 2 / 3 * (B @ g(middle, t + h / 2) @ B.T)
+        P = (A @ (P + h / 6 * start) @ A.T + h * 2 / 3 * (B @ g(middle, t + h / 2) @ B.T)
              + h / 6 * g(end, t + h))
         return end, symmetric(P)
 
     def _expected(self, m: Array, P: Array, sensor: Sensor,
                   t: float) -> tuple[Array, Array, Array]:
-        H = sensor.jacobian(m, t)
+        H = sensor.jacobian(m, t, scale_of(_widths(P)))
         C = P @ H.T
         return np.asarray(sensor.function(m, t), dtype=float), C, H @ C + sensor.noise(t)
 
     def _corrected(self, m: Array, P: Array, y: ArrayLike, sensor: Sensor,
                    t: float) -> tuple[Array, Array, float]:
-        H, R = sensor.jacobian(m, t), sensor.noise(t)
+        H, R = sensor.jacobian(m, t, scale_of(_widths(P))), sensor.noise(t)
         v = sensor.residual(y, np.asarray(sensor.function(m, t), dtype=float))
         C = P @ H.T
         gain, log_evidence = gain_and_log_evidence(C, H @ C + R, v)
@@ -294,6 +298,12 @@ def gain_and_log_evidence(C: Array, S: Array, v: Array) -> tuple[Array, float]:
 def symmetric(P: Array) -> Array:
     """Return a matrix made symmetric to the last bit."""
     return (P + P.T) / 2
+
+
+def _widths(P: Array) -> Array:
+    """Return the deviations (n,) of a covariance, of any length that is worth a derivative."""
+    variance = P.diagonal()
+    return np.where(variance > 0, np.sqrt(np.maximum(variance, NARROWEST**2)), np.inf)
 
 
 def _sound(m: Array, P: Array) -> bool:

@@ -17,6 +17,7 @@ from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.predictive import Predictive
 from pif_ros.core.rivals.cloud import ParticleBelief, systematic
 from pif_ros.core.rivals.passage import check_box, driven_steps, known, LARGEST, step_ns, wrapped
+from pif_ros.core.simulation import spectral_root
 
 Array = NDArray[np.float64]
 
@@ -246,6 +247,5 @@ def _logs(w: Array) -> Array:
 
 def _factor(model: StateModel, t: float) -> Array:
     # Q may be singular at times, and has no Cholesky root then
-    size, axes = np.linalg.eigh(model.noise(t))
-    half = axes * np.sqrt(np.maximum(size, 0.0))
+    half = spectral_root(model.noise(t))
     return half if model.multiplicative else model.vielbein_at(np.zeros(model.ndim), t) @ half
