@@ -8,6 +8,7 @@ from typing import Any
 from geometry_msgs.msg import PoseWithCovarianceStamped
 import numpy as np
 from pif_ros import conversions
+from pif_ros.config import ConfigError, gaussian_of
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import Tracker
 from pif_ros.sources import Refused
@@ -37,7 +38,10 @@ def start_of(msg: PoseWithCovarianceStamped, tracker: Tracker[Any], axes: Sequen
         if not np.all(np.isfinite(values)):
             raise Refused('not finite', f'{name}: expected finite numbers, got {values.tolist()}')
     try:
-        return tracker.filter.gaussian(mean, covariance), stamp_ns
+        return gaussian_of(tracker.filter, mean, covariance, 'covariance: expected one that '
+                           'fits'), stamp_ns
+    except ConfigError as error:
+        raise Refused('too wide', str(error)) from None
     except ValueError as error:
         reason = 'bad covariance' if str(error).startswith('covariance') else 'off the grid'
         raise Refused(reason, str(error)) from None

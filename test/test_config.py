@@ -1,6 +1,7 @@
 """What a user may set, and how everything else is refused."""
 
 from pathlib import Path
+import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -238,6 +239,42 @@ def test_a_grid_too_large_for_the_memory_is_refused_before_it_is_made():
     config = Config.from_parameters({'grid.shape': [46000, 46000]})
     with pytest.raises(ConfigError, match='^grid.shape: .* memory'):
         build_tracker(config)
+
+
+#: Ten million cells, which are 3.2 GB at work.
+WORLD = {'model.name': 'unicycle_2d', 'grid.lower': [-50.0, -50.0, -3.0],
+         'grid.upper': [50.0, 50.0, 3.0], 'grid.shape': [500, 500, 40],
+         'prior.mean': [0.0] * 3, 'prior.covariance_diagonal': [1.0, 1.0, 0.1],
+         'measurements.main.sensor': 'position', 'measurements.main.params.sigma': 0.5}
+
+
+@pytest.mark.parametrize(('more', 'name'), [
+    ({'prior.type': 'uniform'}, 'grid.shape'),
+    ({'prior.covariance_diagonal': [1e6, 1e6, 10.0]}, 'grid.shape'),
+    ({'measurements.main.gate.tail_probability': 1e-4}, 'recovery.belief'),
+    ({'recovery.when_lost': True}, 'recovery.belief')],
+    ids=['uniform prior', 'wide prior', 'gate', 'recovery'])
+def test_a_belief_of_all_of_a_world_that_does_not_fit_is_refused_before_it_is_made(
+        monkeypatch, more, name):
+    monkeypatch.setattr('pif_ros.config.filters._available_memory', lambda: 2_000_000_000)
+    assert build_tracker(Config.from_parameters(WORLD)).prior.size < 100_000
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match=f'^{name}: expected .* fits into the 2.0 GB of memory'):
+        build_tracker(Config.from_parameters({**WORLD, **more}))
+    assert tracemalloc.get_traced_memory()[1] < 20_000_000  # one array of all cells has 80 MB
+    tracemalloc.stop()
+
+
+def test_a_recovery_to_the_prior_needs_no_room_for_all_of_the_world(monkeypatch):
+    monkeypatch.setattr('pif_ros.config.filters._available_memory', lambda: 2_000_000_000)
+    build_tracker(Config.from_parameters({**WORLD, 'recovery.belief': 'prior',
+                                          'recovery.when_lost': True}))
+
+
+def test_a_prior_off_a_world_that_does_not_fit_is_blamed_for_its_place(monkeypatch):
+    monkeypatch.setattr('pif_ros.config.filters._available_memory', lambda: 2_000_000_000)
+    with pytest.raises(ConfigError, match='^prior.mean: expected a point on the grid'):
+        build_tracker(Config.from_parameters({**WORLD, 'prior.mean': [60.0, 0.0, 0.0]}))
 
 
 @pytest.mark.parametrize('path', FILES, ids=lambda path: path.stem)

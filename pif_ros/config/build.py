@@ -10,7 +10,7 @@ import math
 from typing import Any, TypeVar
 
 import numpy as np
-from pif_ros.config.filters import make_filter
+from pif_ros.config.filters import gaussian_of, make_filter, uniform_of
 from pif_ros.config.guard import make_guard
 from pif_ros.config.kinds import ConfigError, named
 from pif_ros.config.table import Config
@@ -116,7 +116,7 @@ def _in_sense(config: Config, model: StateModel) -> StateModel:
 
 def _prior(config: Config, filter_: Filter[Any], model: StateModel) -> Any:
     if config.prior.type == 'uniform':
-        return filter_.uniform()
+        return uniform_of(filter_, 'grid.shape: expected a grid whose uniform prior fits')
     for name in ('mean', 'covariance_diagonal'):
         given = getattr(config.prior, name)
         if len(given) != model.ndim:
@@ -126,7 +126,8 @@ def _prior(config: Config, filter_: Filter[Any], model: StateModel) -> Any:
         raise ConfigError('prior.covariance_diagonal: expected positive numbers, got '
                           f'{list(config.prior.covariance_diagonal)}')
     with named('prior'):
-        return filter_.gaussian(config.prior.mean, np.diag(config.prior.covariance_diagonal))
+        return gaussian_of(filter_, config.prior.mean, np.diag(config.prior.covariance_diagonal),
+                           'grid.shape: expected a grid on which the prior fits')
 
 
 def _sensor(config: Config, source: str, system: System) -> Sensor:
