@@ -78,9 +78,16 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
 
 
 def angles(pose: Pose) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw of a pose's orientation."""
+    """
+    Return roll, pitch and yaw of a pose's orientation, a quaternion of any length.
+
+    NaN where it is no rotation: of length 0, or not finite.
+    """
     q = pose.orientation
-    x, y, z, w = q.x, q.y, q.z, q.w
+    length = math.hypot(q.x, q.y, q.z, q.w)
+    if not 0 < length < math.inf:
+        return math.nan, math.nan, math.nan
+    x, y, z, w = (component / length for component in (q.x, q.y, q.z, q.w))
     return (math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
             math.asin(min(1.0, max(-1.0, 2 * (w * y - z * x)))),
             math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))

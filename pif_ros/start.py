@@ -32,6 +32,10 @@ def start_of(msg: PoseWithCovarianceStamped, tracker: Tracker[Any], axes: Sequen
     if stamp_ns < oldest_ns:
         raise Refused('too late', 'stamp: expected one at most time.max_gap before the last pose, '
                       f'got {stamp_ns / NANOSECONDS} s')
+    q, is_turned = msg.pose.pose.orientation, any(axis is not None for axis in axes[3:])
+    if is_turned and not np.all(np.isfinite(conversions.angles(msg.pose.pose))):
+        raise Refused('not finite', 'orientation: expected a quaternion of finite length, not 0, '
+                      f'got {[q.x, q.y, q.z, q.w]}')
     mean, covariance = conversions.gaussian_from_pose(
         msg.pose, axes, tracker.prior.mean(), tracker.prior.covariance())
     for name, values in (('mean', mean), ('covariance', covariance)):

@@ -11,8 +11,11 @@ from nav_msgs.msg import OccupancyGrid
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 from pif_ros import conversions, fields
+from pif_ros.config import build_tracker, Config
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
+from pif_ros.sources import Refused
+from pif_ros.start import start_of
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import BatteryState, Imu, JointState, LaserScan
@@ -229,6 +232,42 @@ def test_angles_are_the_inverse_of_the_quaternion(roll, pitch, yaw):
     found = conversions.angles(Pose(orientation=Quaternion(x=x, y=y, z=z, w=w)))
     # near straight up, roll and yaw are hardly to be told apart
     assert_allclose(found, (roll, pitch, yaw), rtol=0, atol=1e-7 if abs(pitch) > 1.5 else 1e-12)
+
+
+@pytest.mark.parametrize('length', [1e-300, 0.5, 2**0.5, 1e300])
+@pytest.mark.parametrize('yaw', [0.0, 0.25, math.pi / 2, -3.0])
+def test_the_angles_of_a_quaternion_of_any_length_are_those_of_its_direction(yaw, length):
+    found = conversions.angles(Pose(orientation=Quaternion(
+        z=length * math.sin(yaw / 2), w=length * math.cos(yaw / 2))))
+    assert_allclose(found, (0.0, 0.0, yaw), rtol=0, atol=1e-12)
+
+
+NO_ROTATION = [(0.0, 0.0), (math.nan, 1.0), (math.inf, 0.0)]
+
+
+@pytest.mark.parametrize(('z', 'w'), NO_ROTATION)
+def test_what_is_no_rotation_has_no_angles(z, w):
+    assert np.all(np.isnan(conversions.angles(Pose(orientation=Quaternion(z=z, w=w)))))
+
+
+@pytest.mark.parametrize(('z', 'w'), NO_ROTATION)
+def test_an_orientation_that_is_none_is_refused_only_where_a_state_is_an_angle(z, w):
+    tracker = build_tracker(Config.from_parameters({
+        'model.name': 'unicycle_2d', 'filter.type': 'ekf', 'grid.lower': [-9.0, -9.0, -3.0],
+        'grid.upper': [9.0, 9.0, 3.0], 'grid.shape': [9, 9, 9], 'prior.mean': [0.0, 0.0, 0.5],
+        'prior.covariance_diagonal': [1.0, 1.0, 0.1], 'measurements.main.sensor': 'position',
+        'measurements.main.params.sigma': 0.3}))
+    message = PoseWithCovarianceStamped(pose=filled(
+        np.array([1.0, 2.0]), np.eye(2), (0, 1, None, None, None, None), 0.25))
+    message.pose.pose.orientation = Quaternion(z=z, w=w)
+    belief, _ = start_of(message, tracker, (0, 1, *[None] * 4), 'map', STAMP, 0)
+    assert_allclose(belief.mean(), [1.0, 2.0, 0.5])
+    with pytest.raises(Refused, match='^orientation: expected .*, got ') as refused:
+        start_of(message, tracker, (0, 1, None, None, None, 2), 'map', STAMP, 0)
+    assert refused.value.reason == 'not finite'
+    message.pose.pose.orientation = Quaternion(z=1.0, w=1.0)
+    belief, _ = start_of(message, tracker, (0, 1, None, None, None, 2), 'map', STAMP, 0)
+    assert_allclose(belief.mean(), [1.0, 2.0, math.pi / 2])
 
 
 @given(HALF_TURN, HALF_TURN, HALF_TURN)
