@@ -120,6 +120,11 @@ def _covariances(message: Any, steps: Sequence[str | int]) -> Iterator[tuple[str
 
 def _path(message: Any, path: str) -> tuple[str | int, ...]:
     """Return the steps of a path, checked against the fields of a message class."""
+    return _found(message, path)[0]
+
+
+def _found(message: Any, path: str) -> tuple[tuple[str | int, ...], str]:
+    """Return the steps of a path, and the kind of what lies at its end."""
     steps: list[str | int] = []
     kind = ''
     for part in path.split('.'):
@@ -134,13 +139,32 @@ def _path(message: Any, path: str) -> tuple[str | int, ...]:
             element = re.fullmatch(r'sequence<([^,>]+).*>|(.+)\[\d+\]', kind)
             if element is None:
                 raise ValueError(f'expected an index after an array only, got {path!r}')
+            if int(match[2]) >= (most := _count(kind)[1]):
+                raise ValueError(f'expected an index below {most}, got {path!r}')
             steps.append(int(match[2]))
             kind = element[1] or element[2]
         message = message_class(kind.replace('/', '/msg/')) if re.fullmatch(
             r'\w+/\w+', kind) else None
     if '/' in kind or 'string' in kind:
         raise ValueError(f'expected the path of a number, got {path!r} ({kind})')
-    return tuple(steps)
+    return tuple(steps), kind
+
+
+def check_count(message: Any, paths: Sequence[str], size: int) -> None:
+    """Raise ValueError where no message of this class has so many numbers at these paths."""
+    counts = [_count(_found(message, path)[1]) for path in paths or ('data',)]
+    least, most = (sum(each) for each in zip(*counts))
+    if not least <= size <= most:
+        raise ValueError(f'expected fields that hold {size} numbers, got {list(paths)}')
+
+
+def _count(kind: str) -> tuple[int, float]:
+    """Return how many numbers a field of a kind holds, at least and at most."""
+    if fixed := re.fullmatch(r'.+\[(\d+)\]', kind):
+        return int(fixed[1]), int(fixed[1])
+    if sequence := re.fullmatch(r'sequence<[^,]+(?:, (\d+))?>', kind):
+        return 0, int(sequence[1]) if sequence[1] else math.inf
+    return 1, 1
 
 
 def field_writer(message: Any, paths: Sequence[str],

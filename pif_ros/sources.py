@@ -105,12 +105,20 @@ class Inlet:
 
 
 class Source(Inlet):
-    """One topic of measurements by a sensor."""
+    """
+    One topic of measurements by a sensor.
+
+    Raises ConfigError also for fields that never hold just its numbers.
+    """
 
     def __init__(self, name: str, config: SourceConfig, sensor: Sensor, max_ahead: float,
                  account: SourceAccount | None = None) -> None:
         super().__init__(name, 'measurement', f'measurements.{name}', config, sensor.size,
                          max_ahead, account)
+        try:
+            fields.check_count(self.type, config.fields, sensor.size)
+        except ValueError as error:
+            raise ConfigError(f'{self.prefix}.fields: {error}') from None
 
     def item(self, msg: Any, now_ns: int | None, arrived_ns: int | None = None) -> Measurement:
         """Return the measurement in a message; Refused where it is none."""

@@ -27,6 +27,17 @@ RANGE = {**PLANE, 'measurements.main.sensor': 'range',
          'measurements.main.params.landmark': [1.0, 2.0]}
 LINE = {'model.name': 'wiener', 'grid.lower': [-3.0], 'grid.upper': [3.0], 'grid.shape': [30],
         'prior.mean': [0.0], 'prior.covariance_diagonal': [1.0]}
+POINT = {**PLANE, 'measurements.main.topic': 'point',
+         'measurements.main.type': 'geometry_msgs/msg/PointStamped',
+         'measurements.main.fields': ['point.x', 'point.y']}
+FIXED = {**PLANE, 'measurements.main.topic': 'fixed',
+         'measurements.main.type': 'geometry_msgs/msg/PoseWithCovariance',
+         'measurements.main.fields': ['covariance[0]', 'covariance[35]']}
+#: Ten million cells, which are 3.2 GB at work.
+WORLD = {'model.name': 'unicycle_2d', 'grid.lower': [-50.0, -50.0, -3.0],
+         'grid.upper': [50.0, 50.0, 3.0], 'grid.shape': [500, 500, 40],
+         'prior.mean': [0.0] * 3, 'prior.covariance_diagonal': [1.0, 1.0, 0.1],
+         'measurements.main.sensor': 'position', 'measurements.main.params.sigma': 0.5}
 TWO = {'measurements.names': ['a', 'b'], 'measurements.a.topic': 'seen',
        'measurements.b.topic': 'seen'}
 
@@ -186,6 +197,19 @@ WRONG = [
     wrong('measurements.names', ['a', 'a'], 'once'),
     wrong('measurements.names', ['a b'], 'letters', got="'a b'"),
     wrong('measurements.names', ['names'], 'none of', got="'names'"),
+    *(wrong('measurements.names', [task], 'none of', task, got=repr(task))
+      for task in ('filter', 'belief', 'control', 'initialpose', 'timing')),
+    # what is too large to be made or reckoned with
+    wrong('kernel.time_step', 1e300, 'up to 1e9'),
+    wrong('kernel.time_step', 2e9, 'up to 1e9', of={**SMALL, 'filter.type': 'ekf'}),
+    wrong('kernel.time_step', 1e7, 'no wider than the grid', of=PLANE),
+    wrong('kernel.time_step', 1e7, 'no wider', of={**PLANE, 'region.kind': 'active'}),
+    wrong('kernel.time_step', 1e9, 'no wider', of=WORLD),
+    wrong('control.hold', 1e300, 'up to 1e9', of=WORLD),
+    wrong('control.hold', 0.0, 'positive', of=WORLD),
+    wrong('grid.shape', [2**40, 2**40, 2**40], 'memory', of=WORLD),
+    wrong('grid.shape', [2**62, 2**62], 'at most 1099511627776', of={**PLANE, 'filter.type': 'ekf'}),
+    wrong('grid.shape', [10**9, 10**9, 10**9], 'memory', of=WORLD),
     wrong('measurements.main.topic', '', 'name'),
     wrong('measurements.main.topic', 'bad topic', 'topic'),
     wrong('measurements.main.topic', 'a//b', 'topic'),
@@ -200,6 +224,13 @@ WRONG = [
           says='measurements.main.fields'),
     wrong('measurements.main.fields', ['dta'], 'layout, data', got="'dta'"),
     wrong('measurements.main.fields', ['layout'], 'number', got="'layout'"),
+    # what never holds the two numbers of the sensor
+    wrong('measurements.main.fields', ['point.x'], '2 numbers', of=POINT),
+    wrong('measurements.main.fields', ['point.x', 'point.y', 'point.z'], '2 numbers', of=POINT),
+    wrong('measurements.main.fields', ['covariance'], '2 numbers', of=FIXED),
+    wrong('measurements.main.fields', ['covariance', 'pose.position.x'], '2 numbers', of=FIXED),
+    wrong('measurements.main.fields', ['covariance[0]', 'covariance[36]'], 'below 36', of=FIXED,
+          got="'covariance[36]'"),
 ]
 
 
@@ -229,8 +260,8 @@ def test_there_are_many_wrong_configurations_and_each_is_another():
     assert len({str(case.values[0]) for case in WRONG}) == len(WRONG) >= 40
 
 
-@pytest.mark.parametrize('base', [SMALL, PLANE, RANGE, LINE],
-                         ids=['small', 'plane', 'range', 'line'])
+@pytest.mark.parametrize('base', [SMALL, PLANE, RANGE, LINE, POINT, FIXED, WORLD],
+                         ids=['small', 'plane', 'range', 'line', 'point', 'fixed', 'world'])
 def test_what_the_wrong_configurations_were_made_from_is_right(one_graph, base):
     assert isinstance(one_graph.filter_node(base), FilterNode)
 
@@ -239,13 +270,6 @@ def test_a_grid_too_large_for_the_memory_is_refused_before_it_is_made():
     config = Config.from_parameters({'grid.shape': [46000, 46000]})
     with pytest.raises(ConfigError, match='^grid.shape: .* memory'):
         build_tracker(config)
-
-
-#: Ten million cells, which are 3.2 GB at work.
-WORLD = {'model.name': 'unicycle_2d', 'grid.lower': [-50.0, -50.0, -3.0],
-         'grid.upper': [50.0, 50.0, 3.0], 'grid.shape': [500, 500, 40],
-         'prior.mean': [0.0] * 3, 'prior.covariance_diagonal': [1.0, 1.0, 0.1],
-         'measurements.main.sensor': 'position', 'measurements.main.params.sigma': 0.5}
 
 
 @pytest.mark.parametrize(('more', 'name'), [

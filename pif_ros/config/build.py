@@ -22,6 +22,9 @@ from pif_ros.core.tracker import Tracker
 
 Made = TypeVar('Made')
 
+#: Cells on an axis beyond which they cannot be numbered, halved and told apart.
+MOST_CELLS = 2**40
+
 
 def build_tracker(config: Config, filter_: Filter[Any] | None = None,
                   kind: type[Tracker[Any]] = Tracker) -> Tracker[Any]:
@@ -60,6 +63,9 @@ def find_grid(config: Config, model: StateModel) -> Grid:
         if len(given) != model.ndim and not (name == 'periodic' and not given):
             raise ConfigError(f'grid.{name}: expected {model.ndim} values, one for each '
                               f'state ({states}), got {list(given)}')
+    if max(config.grid.shape) > MOST_CELLS:
+        raise ConfigError(f'grid.shape: expected at most {MOST_CELLS} cells on an axis, '
+                          f'got {list(config.grid.shape)}')
     with named('grid'):
         return Grid(config.grid.lower, config.grid.upper, config.grid.shape,
                     config.grid.periodic)

@@ -18,6 +18,7 @@ from pif_ros.core.continuous import DiracFeynmanYauFilter, ExtendedKalmanBucyFil
 from pif_ros.core.filters import DiracFeynmanFilter, Filter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import chosen_form, KernelSettings, OperatorSettings, stored_weights
+from pif_ros.core.kernels.lattice import variance_in_cells
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.rivals import ExtendedKalmanFilter, ParticleFilter, UnscentedKalmanFilter
 
@@ -91,8 +92,12 @@ def _active_filter(config: Config, model: StateModel, grid: Grid,
         region = RegionSettings(config.region.negligible, config.region.resolution,
                                 config.region.finest)
     try:
-        return ActiveGridFilter(model, grid, sensors, config.kernel.time_step,
-                                config.filter.average_cells, region)
+        filter_ = ActiveGridFilter(model, grid, sensors, config.kernel.time_step,
+                                   config.filter.average_cells, region)
+        _check_step(model, grid, _settings(config))
+        return filter_
+    except ConfigError:
+        raise
     except ValueError as error:
         raise ConfigError(f'region.kind: {str(error).removeprefix("region: ")}') from None
 
@@ -190,6 +195,8 @@ def _with_form(model: StateModel, grid: Grid, settings: KernelSettings,
         settings = dataclasses.replace(settings, form='tabulated')
     # before a form is chosen, for which a kernel may have to be made
     _check_grid_memory(model, grid, settings, operator)
+    if settings.form != 'tabulated' and not model.multiplicative:
+        _check_step(model, grid, settings)
     with named('kernel'):
         form = chosen_form(model, grid, settings, operator)
     try:
@@ -198,6 +205,19 @@ def _with_form(model: StateModel, grid: Grid, settings: KernelSettings,
         # the other form does, and is possible; where it is not good it says so
         form = 'split'
     return dataclasses.replace(settings, form=form)
+
+
+def _check_step(model: StateModel, grid: Grid, settings: KernelSettings) -> None:
+    """
+    Refuse a step whose noise is wider than the grid: nothing would be known after it.
+
+    To make an operator along an axis, or to spread active cells, would take ages.
+    """
+    variance = np.diagonal(variance_in_cells(model, grid, settings, 0.0)[..., 0])
+    widest = float(np.max(np.sqrt(variance) / grid.shape))
+    if widest > 1:
+        raise ConfigError('kernel.time_step: expected a step whose noise is no wider than the '
+                          f'grid, got {settings.time_step!r} ({widest:.3g} times as wide)')
 
 
 def _check_grid_memory(model: StateModel, grid: Grid, settings: KernelSettings,

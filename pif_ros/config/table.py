@@ -23,6 +23,9 @@ from pif_ros.config.sections import (ControlConfig, DensityConfig, DiagnosticsCo
                                      RegionConfig, SourceConfig, TimeConfig)
 import yaml
 
+#: What the node tells of at /diagnostics besides its sources.
+TASKS = frozenset(('filter', 'belief', 'control', 'initialpose', 'timing'))
+
 
 @dataclass(frozen=True)
 class Config:
@@ -136,7 +139,7 @@ def _take(left: dict[str, Value], name: str, spec: dataclasses.Field[Any]) -> An
 
 
 def _check_names(names: Sequence[str]) -> None:
-    taken_already = {spec.name for spec in dataclasses.fields(MeasurementsConfig)}
+    taken_already = {spec.name for spec in dataclasses.fields(MeasurementsConfig)} | TASKS
     for name in names:
         if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name) or name in taken_already:
             raise ConfigError('measurements.names: expected names of letters, digits and _, none '
