@@ -14,7 +14,7 @@ from pif_ros.core.models import StateModel
 from pif_ros.core.systems import unicycle_2d
 from pif_ros.filter_node import FilterNode
 import pytest
-from ros import Graph, ROOT
+from ros import Graph, ROOT, write_parameters
 import yaml
 
 FILES = sorted((ROOT / 'config').glob('*.yaml'))
@@ -208,7 +208,8 @@ WRONG = [
     wrong('control.hold', 1e300, 'up to 1e9', of=WORLD),
     wrong('control.hold', 0.0, 'positive', of=WORLD),
     wrong('grid.shape', [2**40, 2**40, 2**40], 'memory', of=WORLD),
-    wrong('grid.shape', [2**62, 2**62], 'at most 1099511627776', of={**PLANE, 'filter.type': 'ekf'}),
+    wrong('grid.shape', [2**62, 2**62], 'at most 1099511627776',
+          of={**PLANE, 'filter.type': 'ekf'}),
     wrong('grid.shape', [10**9, 10**9, 10**9], 'memory', of=WORLD),
     wrong('measurements.main.topic', '', 'name'),
     wrong('measurements.main.topic', 'bad topic', 'topic'),
@@ -317,6 +318,16 @@ def test_every_file_of_the_package_makes_a_filter(path):
 @pytest.mark.parametrize('path', FILES, ids=lambda path: path.stem)
 def test_every_file_of_the_package_says_the_same_to_the_node(graph, path):
     assert graph.filter_node_of(path).config == Config.from_yaml(path)
+
+
+@pytest.mark.parametrize('foreign', [
+    {'use_sim_time': False}, {'start_type_description_service': True},
+    {'qos_overrides': {'/clock': {'subscription': {'depth': 5}}}}], ids=lambda given: min(given))
+def test_a_file_with_parameters_of_rclpy_says_the_same_to_the_library_as_to_the_node(
+        graph, tmp_path, foreign):
+    file = write_parameters(tmp_path / 'file.yaml', {**PLANE, **foreign})
+    assert graph.filter_node_of(file).config == Config.from_yaml(file)
+    assert Config.from_yaml(file) == Config.from_parameters(PLANE)
 
 
 def test_every_parameter_stands_in_a_file_of_the_package():
