@@ -74,6 +74,41 @@ def find_grid(config: Config, model: StateModel) -> Grid:
 def find_system(config: Config) -> System:
     """Return the system that is named, with its constants."""
     name = config.model.name
+    system = _made('model.params', _maker(name), config.model.params)
+    if not isinstance(system, System):
+        raise ConfigError(f'model.name: expected an entry point that makes a System, got {name!r},'
+                          f' which makes {system!r}')
+    return system
+
+
+def plain(config: Config) -> Config:
+    """
+    Return the same configuration without what model, sensors and grid are without being told.
+
+    Two that make the same filter are the same then, as long as the defaults are.
+    """
+    model, system = config.model, find_system(config)
+    first, sources = next(iter(system.sensors)), {}
+    for name, source in config.measurements.sources.items():
+        params = _told(system.sensors[source.sensor or first], source.params)
+        sources[name] = dataclasses.replace(
+            source, params=params, sensor='' if source.sensor == first else source.sensor)
+    return dataclasses.replace(
+        config, model=dataclasses.replace(model, params=_told(_maker(model.name), model.params)),
+        grid=config.grid if any(config.grid.periodic) else dataclasses.replace(
+            config.grid, periodic=()),
+        measurements=dataclasses.replace(config.measurements, sources=sources))
+
+
+def _told(maker: Callable[..., Any], params: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the constants that are not a maker's defaults."""
+    defaults = inspect.signature(maker).parameters
+    return {name: value for name, value in params.items()
+            if not np.array_equal(value, defaults[name].default)}
+
+
+def _maker(name: str) -> Callable[..., System]:
+    """Return what makes the system of a name."""
     known: dict[str, Callable[..., System]] = dict(SYSTEMS)
     installed = {entry.name: entry for entry in entry_points(group='pif_ros.systems')}
     if name not in known and name in installed:
@@ -81,11 +116,7 @@ def find_system(config: Config) -> System:
     if name not in known:
         raise ConfigError(f'model.name: expected one of {", ".join(sorted({*known, *installed}))},'
                           f' got {name!r}')
-    system = _made('model.params', known[name], config.model.params)
-    if not isinstance(system, System):
-        raise ConfigError(f'model.name: expected an entry point that makes a System, got {name!r},'
-                          f' which makes {system!r}')
-    return system
+    return known[name]
 
 
 def state_axes(name: str, given: Sequence[str], model: StateModel) -> tuple[int | None, ...]:
