@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import tracemalloc
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
@@ -370,6 +371,44 @@ def test_a_map_of_unequal_spacings_shows_everything_where_it_is(upper, shape):
         i = min(int(x[column] / grid.spacing[0] + 1e-4), shape[0] - 1)
         j = min(int(y[row] / grid.spacing[1] + 1e-4), shape[1] - 1)
         assert shown[row, column] == share[i, j]
+
+
+@pytest.mark.parametrize(('upper', 'shape'), [
+    ((5000.0, 1.0), (100, 100)), ((1.0, 7e5), (50, 7)), ((1e9, 1.0), (3, 4)),
+    ((3.0, 2.0), (3000, 2000)), ((1e30, 1e-5), (4, 4))])
+def test_a_map_has_four_million_cells_at_most_of_the_mean_density(upper, shape):
+    grid = Grid((0.0, 0.0), upper, shape)
+    belief = some_belief(grid)
+    tracemalloc.start()
+    message = conversions.map_message(belief, STAMP, 'map')
+    info, data = message.info, message.data
+    assert tracemalloc.get_traced_memory()[1] < 400_000_000
+    tracemalloc.stop()
+    assert info.width * info.height == len(data) <= 4_000_000
+    shown = np.reshape(data, (info.height, info.width))
+    assert shown.max() == 100 and shown.min() >= 0
+    # the mass left of a column, or below a row, is what is shown there
+    for axis, count in ((0, info.width), (1, info.height)):
+        mass = np.append(0.0, np.cumsum(belief.density.sum(axis=1 - axis)))
+        places = np.linspace(0, count, 6).round()
+        left = np.interp(places * info.resolution, np.linspace(0, upper[axis], shape[axis] + 1),
+                         mass / mass[-1])
+        of_the_map = np.append(0.0, np.cumsum(shown.sum(axis=axis, dtype=float)))
+        assert_allclose(of_the_map[places.astype(int)] / of_the_map[-1], left / left[-1],
+                        atol=0.03)
+        # it ends within half of its cells of where the grid does
+        assert abs(count * info.resolution - upper[axis]) <= max(
+            info.resolution / 2, info.resolution - upper[axis]) * (1 + 1e-6)
+
+
+def test_a_narrow_peak_is_seen_in_a_map_of_wider_cells():
+    grid = Grid((0.0, 0.0), (3.0, 3.0), (3000, 3000))
+    density = np.zeros((3000, 3000))
+    density[1700, 401] = 1.0
+    heard = conversions.map_message(GridBelief(grid, density), STAMP, 'map')
+    assert np.flatnonzero(heard.data).tolist() == [200 * heard.info.width + 850]
+    assert (heard.info.width, heard.info.height) == (1500, 1500)
+    assert heard.info.resolution == pytest.approx(0.002)
 
 
 def test_a_map_is_all_bytes_from_0_to_100():

@@ -21,8 +21,8 @@ def identity(config: Config) -> dict[str, Any]:
     Return the parameters that make a state of one filter none of another's, as JSON has them.
 
     Model, grid, filter, kernel, the sensors, and for how long a control holds.  Not the prior, by
-    which nothing goes that is believed already, nor topics, rates and how long is remembered.  What
-    is written out that is so by default is left out.
+    which nothing goes that is believed already, nor topics, rates and how long is remembered.
+    What is written out that is so by default is left out.
     """
     found: dict[str, Any] = {}
     config = plain(config)
