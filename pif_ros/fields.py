@@ -9,9 +9,17 @@ import importlib.machinery
 import math
 from pathlib import Path
 import re
+import sys
 from typing import Any
 
 import numpy as np
+
+#: What numbers of a kind lie between, as messages check it.
+FLOAT_MAX = 3.402823466e38
+LIMITS: dict[str, tuple[float, float]] = {
+    'double': (-sys.float_info.max, sys.float_info.max), 'float': (-FLOAT_MAX, FLOAT_MAX),
+    **{f'int{bits}': (-2**(bits - 1), 2**(bits - 1) - 1) for bits in (8, 16, 32, 64)},
+    **{f'uint{bits}': (0, 2**bits - 1) for bits in (8, 16, 32, 64)}}
 
 
 def message_class(name: str) -> Any:
@@ -136,13 +144,12 @@ def _found(message: Any, path: str) -> tuple[tuple[str | int, ...], str]:
         steps.append(match[1])
         kind = fields[match[1]]
         if match[2] is not None:
-            element = re.fullmatch(r'sequence<([^,>]+).*>|(.+)\[\d+\]', kind)
-            if element is None:
+            if not (element := _element(kind)):
                 raise ValueError(f'expected an index after an array only, got {path!r}')
             if int(match[2]) >= (most := _count(kind)[1]):
                 raise ValueError(f'expected an index below {most}, got {path!r}')
             steps.append(int(match[2]))
-            kind = element[1] or element[2]
+            kind = element
         message = message_class(kind.replace('/', '/msg/')) if re.fullmatch(
             r'\w+/\w+', kind) else None
     if '/' in kind or 'string' in kind:
@@ -156,6 +163,12 @@ def check_count(message: Any, paths: Sequence[str], size: int) -> None:
     least, most = (sum(each) for each in zip(*counts))
     if not least <= size <= most:
         raise ValueError(f'expected fields that hold {size} numbers, got {list(paths)}')
+
+
+def _element(kind: str) -> str:
+    """Return what an array of a kind is made of, '' where it is none."""
+    found = re.fullmatch(r'sequence<([^,>]+).*>|(.+)\[\d+\]', kind)
+    return '' if found is None else found[1] or found[2]
 
 
 def _count(kind: str) -> tuple[int, float]:
@@ -173,17 +186,22 @@ def field_writer(message: Any, paths: Sequence[str],
     Return a function that puts so many numbers into a message of this class.
 
     What a field_reader with the same paths reads of it then.  An array of any length holds what
-    the other paths leave.  Raises ValueError for paths that cannot hold just so many numbers.
+    the other paths leave.  Raises ValueError for paths that cannot hold just so many numbers; the
+    writer raises it for a number that is too large for its field.
     """
-    places = [_path(message, path) for path in paths or ('data',)]
-    counts = [_room(message(), steps) for steps in places]
+    places = [(path, *_found(message, path)) for path in paths or ('data',)]
+    counts = [_room(message(), steps) for _, steps, _ in places]
+    for path, _, kind in places:
+        if (_element(kind) or kind) not in LIMITS:
+            raise ValueError(f'expected fields of real or whole numbers, got {path!r} ({kind})')
     known = sum(count or 0 for count in counts)
     if counts.count(None) > 1 or known > size or (None not in counts and known < size):
         raise ValueError(f'expected fields that hold {size} numbers, got {list(paths)}')
     ends = np.cumsum([size - known if count is None else count for count in counts]).tolist()
 
     def write(msg: Any, values: Sequence[float]) -> None:
-        for steps, begin, end in zip(places, [0, *ends], ends):
+        for (path, steps, kind), begin, end in zip(places, [0, *ends], ends):
+            _check_limits(path, _element(kind) or kind, values[begin:end])
             _put(msg, steps, values[begin:end])
 
     return write
@@ -201,6 +219,15 @@ def _room(msg: Any, steps: Sequence[str | int]) -> int | None:
     if isinstance(found, (bool, bytes)):
         raise ValueError(f'expected fields of real or whole numbers, got {list(steps)}')
     return 1 if isinstance(found, (int, float)) else len(found) or None
+
+
+def _check_limits(path: str, kind: str, values: Sequence[float]) -> None:
+    """Refuse numbers that a field of a kind cannot hold, also once they are rounded."""
+    low, high = LIMITS[kind]
+    for value in values:
+        if not (low - 0.5 <= value <= high + 0.5 and low <= round(value) <= high):
+            raise ValueError(f'expected numbers from {low:.12g} to {high:.12g} for {path!r} '
+                             f'({kind}), got {float(value)!r}')
 
 
 def _put(msg: Any, steps: Sequence[str | int], values: Sequence[float]) -> None:
