@@ -14,6 +14,9 @@ from typing import Any
 
 import numpy as np
 
+#: By the name of a message, its field of distances, and those of the least and the most of them.
+DISTANCES = {'Range': ('range', 'min_range', 'max_range'),
+             'LaserScan': ('ranges', 'range_min', 'range_max')}
 #: What numbers of a kind lie between, as messages check it.
 FLOAT_MAX = 3.402823466e38
 LIMITS: dict[str, tuple[float, float]] = {
@@ -49,16 +52,26 @@ def has_header(message: Any) -> bool:
     return message.get_fields_and_field_types().get('header') == 'std_msgs/Header'
 
 
-def is_range(message: Any, fields: Sequence[str]) -> bool:
-    """Return whether what is read of a message of this class is a sensor_msgs/Range's range."""
-    return (message.__name__ == 'Range' and 'range' in fields
-            and {'min_range', 'max_range'} <= set(message.get_fields_and_field_types()))
+def ranger(message: Any, paths: Sequence[str]) -> Callable[[Any], str]:
+    """
+    Return a function that says which distance that is read saw nothing, '' for none.
 
+    Those of a Range or a LaserScan must be within its limits if it has any, and not below 0.
+    """
+    field, least, most = DISTANCES.get(message.__name__, ('', '', ''))
+    own = [path for path in paths if path.split('[')[0] == field]
+    if not own or not {field, least, most} <= set(message.get_fields_and_field_types()):
+        return lambda msg: ''
+    read = field_reader(message, own)
 
-def in_range(msg: Any) -> bool:
-    """Return whether a Range saw something: within its limits if it has any, and not below 0."""
-    limited = msg.max_range > msg.min_range
-    return bool(msg.min_range <= msg.range <= msg.max_range if limited else msg.range >= 0)
+    def beyond(msg: Any) -> str:
+        low, high = getattr(msg, least), getattr(msg, most)
+        for value in read(msg):
+            if not (low <= value <= high if high > low else value >= 0):
+                return f'expected a range from {low:g} to {high:g}, got {value:g}'
+        return ''
+
+    return beyond
 
 
 def field_reader(message: Any, paths: Sequence[str]) -> Callable[[Any], tuple[float, ...]]:

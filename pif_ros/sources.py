@@ -54,7 +54,7 @@ class Inlet:
             raise ConfigError(f'{prefix}.fields: {error}') from None
         self._wrong = fields.doubter(self.type, config.fields)
         self.is_stamped = fields.has_header(self.type)
-        self._is_range = fields.is_range(self.type, config.fields)
+        self._beyond = fields.ranger(self.type, config.fields)
         self._newest: int | None = None
 
     def lost(self, number: int | None) -> int:
@@ -86,9 +86,8 @@ class Inlet:
             raise Refused('not finite', f'expected finite numbers, got {list(values)}')
         if wrong := self._wrong(msg):
             raise Refused('bad covariance', wrong)
-        if self._is_range and not fields.in_range(msg):
-            raise Refused('out of range', f'expected a range from {msg.min_range:g} to '
-                          f'{msg.max_range:g}, got {msg.range:g}')
+        if beyond := self._beyond(msg):
+            raise Refused('out of range', beyond)
         return self._stamp(msg, now_ns, arrived_ns), values
 
     def _stamp(self, msg: Any, now_ns: int, arrived_ns: int | None) -> int:
