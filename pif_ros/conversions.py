@@ -14,11 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import NANOSECONDS
+from pif_ros.core.grid import Grid
 from pif_ros.diagnostics import Status
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 Array = NDArray[np.float64]
 
+#: A map has at most so many cells.
+MOST_CELLS = 4_000_000
 #: The axes of a pose, in the order of its covariance.
 POSE_AXES = ('x', 'y', 'z', 'roll', 'pitch', 'yaw')
 
@@ -78,9 +81,16 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
 
 
 def angles(pose: Pose) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw of a pose's orientation."""
+    """
+    Return roll, pitch and yaw of a pose's orientation, a quaternion of any length.
+
+    NaN where it is no rotation: of length 0, or not finite.
+    """
     q = pose.orientation
-    x, y, z, w = q.x, q.y, q.z, q.w
+    length = math.hypot(q.x, q.y, q.z, q.w)
+    if not 0 < length < math.inf:
+        return math.nan, math.nan, math.nan
+    x, y, z, w = (component / length for component in (q.x, q.y, q.z, q.w))
     return (math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
             math.asin(min(1.0, max(-1.0, 2 * (w * y - z * x)))),
             math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
@@ -123,24 +133,53 @@ def density_message(belief: GridBelief, names: Sequence[str],
 
 
 def map_message(belief: GridBelief, stamp_ns: int, frame: str) -> OccupancyGrid:
-    """Return a density over x and y as a map: 100 in the densest cell, 0 in an empty one."""
+    """
+    Return a density over x and y as a map: 100 in the densest cell, 0 in an empty one.
+
+    Cells are squares as wide as the finer spacing, those of the other are shown more than once;
+    where there would be more than MOST_CELLS of them they are wider, with the mean density.
+    """
     message, grid = OccupancyGrid(), belief.grid
     message.header.stamp, message.header.frame_id = stamp_from_ns(stamp_ns), frame
-    # a map has square cells: the finer spacing, other cells are shown more than once
-    resolution = float(grid.spacing.min())
-    columns, rows = (_nearest(grid.shape[axis], float(grid.spacing[axis]) / resolution)
-                     for axis in (0, 1))
-    share = belief.density[np.ix_(columns, rows)].T / belief.density.max()
+    resolution, density = _resolution(grid), belief.density
+    counts, stretch = _cells(grid, resolution), grid.spacing / resolution
+    for axis in np.argsort(stretch).tolist():
+        density = _stretched(density, axis, counts[axis], float(stretch[axis]))
+    share = density.T / density.max()
     info = message.info
     info.map_load_time = stamp_from_ns(stamp_ns)
     info.resolution = resolution
-    info.width, info.height = len(columns), len(rows)
+    info.height, info.width = share.shape
     info.origin.position.x, info.origin.position.y = float(grid.lower[0]), float(grid.lower[1])
     info.origin.orientation.w = 1.0
     message.data = array.array('b', np.rint(100 * share).astype(np.int8).tobytes())
     return message
 
 
-def _nearest(cells: int, stretch: float) -> NDArray[np.int64]:
-    """Return which of some cells is shown in each cell of a finer axis."""
-    return np.minimum((np.arange(round(cells * stretch)) + 0.5) / stretch, cells - 1).astype(int)
+def _resolution(grid: Grid) -> float:
+    """Return how wide the cells of a map are: as the narrowest of the grid, if they may be."""
+    extent = np.array(grid.upper) - np.array(grid.lower)
+    resolution = max(float(grid.spacing.min()), float(extent.max()) / MOST_CELLS)
+    while math.prod(_cells(grid, resolution)) > MOST_CELLS:
+        resolution *= 2
+    return resolution
+
+
+def _cells(grid: Grid, resolution: float) -> list[int]:
+    """Return how many cells of a map there are along each axis."""
+    return [max(1, round(cells * float(width) / resolution))
+            for cells, width in zip(grid.shape, grid.spacing)]
+
+
+def _stretched(density: Array, axis: int, count: int, stretch: float) -> Array:
+    """Return a density on so many cells of an axis, of which a cell of its own takes some."""
+    cells = density.shape[axis]
+    if stretch >= 1:
+        nearest = np.minimum((np.arange(count) + 0.5) / stretch, cells - 1).astype(int)
+        return np.take(density, nearest, axis)
+    # the mean of a wider cell is what was summed up to its end, less what was up to its beginning
+    ends = np.minimum(np.arange(count + 1) / stretch, cells)
+    whole = np.minimum(ends, cells - 1).astype(int)
+    summed = np.moveaxis(np.cumsum(density, axis) - density, axis, -1)
+    summed = summed[..., whole] + (ends - whole) * np.moveaxis(density, axis, -1)[..., whole]
+    return np.moveaxis(np.maximum(np.diff(summed), 0.0), -1, axis) * stretch

@@ -9,9 +9,20 @@ import importlib.machinery
 import math
 from pathlib import Path
 import re
+import sys
 from typing import Any
 
 import numpy as np
+
+#: By the name of a message, its field of distances, and those of the least and the most of them.
+DISTANCES = {'Range': ('range', 'min_range', 'max_range'),
+             'LaserScan': ('ranges', 'range_min', 'range_max')}
+#: What numbers of a kind lie between, as messages check it.
+FLOAT_MAX = 3.402823466e38
+LIMITS: dict[str, tuple[float, float]] = {
+    'double': (-sys.float_info.max, sys.float_info.max), 'float': (-FLOAT_MAX, FLOAT_MAX),
+    **{f'int{bits}': (-2**(bits - 1), 2**(bits - 1) - 1) for bits in (8, 16, 32, 64)},
+    **{f'uint{bits}': (0, 2**bits - 1) for bits in (8, 16, 32, 64)}}
 
 
 def message_class(name: str) -> Any:
@@ -41,16 +52,26 @@ def has_header(message: Any) -> bool:
     return message.get_fields_and_field_types().get('header') == 'std_msgs/Header'
 
 
-def is_range(message: Any, fields: Sequence[str]) -> bool:
-    """Return whether what is read of a message of this class is a sensor_msgs/Range's range."""
-    return (message.__name__ == 'Range' and 'range' in fields
-            and {'min_range', 'max_range'} <= set(message.get_fields_and_field_types()))
+def ranger(message: Any, paths: Sequence[str]) -> Callable[[Any], str]:
+    """
+    Return a function that says which distance that is read saw nothing, '' for none.
 
+    Those of a Range or a LaserScan must be within its limits if it has any, and not below 0.
+    """
+    field, least, most = DISTANCES.get(message.__name__, ('', '', ''))
+    own = [path for path in paths if path.split('[')[0] == field]
+    if not own or not {field, least, most} <= set(message.get_fields_and_field_types()):
+        return lambda msg: ''
+    read = field_reader(message, own)
 
-def in_range(msg: Any) -> bool:
-    """Return whether a Range saw something: within its limits if it has any, and not below 0."""
-    limited = msg.max_range > msg.min_range
-    return bool(msg.min_range <= msg.range <= msg.max_range if limited else msg.range >= 0)
+    def beyond(msg: Any) -> str:
+        low, high = getattr(msg, least), getattr(msg, most)
+        for value in read(msg):
+            if not (low <= value <= high if high > low else value >= 0):
+                return f'expected a range from {low:g} to {high:g}, got {value:g}'
+        return ''
+
+    return beyond
 
 
 def field_reader(message: Any, paths: Sequence[str]) -> Callable[[Any], tuple[float, ...]]:
@@ -120,6 +141,11 @@ def _covariances(message: Any, steps: Sequence[str | int]) -> Iterator[tuple[str
 
 def _path(message: Any, path: str) -> tuple[str | int, ...]:
     """Return the steps of a path, checked against the fields of a message class."""
+    return _found(message, path)[0]
+
+
+def _found(message: Any, path: str) -> tuple[tuple[str | int, ...], str]:
+    """Return the steps of a path, and the kind of what lies at its end."""
     steps: list[str | int] = []
     kind = ''
     for part in path.split('.'):
@@ -131,16 +157,40 @@ def _path(message: Any, path: str) -> tuple[str | int, ...]:
         steps.append(match[1])
         kind = fields[match[1]]
         if match[2] is not None:
-            element = re.fullmatch(r'sequence<([^,>]+).*>|(.+)\[\d+\]', kind)
-            if element is None:
+            if not (element := _element(kind)):
                 raise ValueError(f'expected an index after an array only, got {path!r}')
+            if int(match[2]) >= (most := _count(kind)[1]):
+                raise ValueError(f'expected an index below {most}, got {path!r}')
             steps.append(int(match[2]))
-            kind = element[1] or element[2]
+            kind = element
         message = message_class(kind.replace('/', '/msg/')) if re.fullmatch(
             r'\w+/\w+', kind) else None
     if '/' in kind or 'string' in kind:
         raise ValueError(f'expected the path of a number, got {path!r} ({kind})')
-    return tuple(steps)
+    return tuple(steps), kind
+
+
+def check_count(message: Any, paths: Sequence[str], size: int) -> None:
+    """Raise ValueError where no message of this class has so many numbers at these paths."""
+    counts = [_count(_found(message, path)[1]) for path in paths or ('data',)]
+    least, most = (sum(each) for each in zip(*counts))
+    if not least <= size <= most:
+        raise ValueError(f'expected fields that hold {size} numbers, got {list(paths)}')
+
+
+def _element(kind: str) -> str:
+    """Return what an array of a kind is made of, '' where it is none."""
+    found = re.fullmatch(r'sequence<([^,>]+).*>|(.+)\[\d+\]', kind)
+    return '' if found is None else found[1] or found[2]
+
+
+def _count(kind: str) -> tuple[int, float]:
+    """Return how many numbers a field of a kind holds, at least and at most."""
+    if fixed := re.fullmatch(r'.+\[(\d+)\]', kind):
+        return int(fixed[1]), int(fixed[1])
+    if sequence := re.fullmatch(r'sequence<[^,]+(?:, (\d+))?>', kind):
+        return 0, int(sequence[1]) if sequence[1] else math.inf
+    return 1, 1
 
 
 def field_writer(message: Any, paths: Sequence[str],
@@ -149,17 +199,22 @@ def field_writer(message: Any, paths: Sequence[str],
     Return a function that puts so many numbers into a message of this class.
 
     What a field_reader with the same paths reads of it then.  An array of any length holds what
-    the other paths leave.  Raises ValueError for paths that cannot hold just so many numbers.
+    the other paths leave.  Raises ValueError for paths that cannot hold just so many numbers; the
+    writer raises it for a number that is too large for its field.
     """
-    places = [_path(message, path) for path in paths or ('data',)]
-    counts = [_room(message(), steps) for steps in places]
+    places = [(path, *_found(message, path)) for path in paths or ('data',)]
+    counts = [_room(message(), steps) for _, steps, _ in places]
+    for path, _, kind in places:
+        if (_element(kind) or kind) not in LIMITS:
+            raise ValueError(f'expected fields of real or whole numbers, got {path!r} ({kind})')
     known = sum(count or 0 for count in counts)
     if counts.count(None) > 1 or known > size or (None not in counts and known < size):
         raise ValueError(f'expected fields that hold {size} numbers, got {list(paths)}')
     ends = np.cumsum([size - known if count is None else count for count in counts]).tolist()
 
     def write(msg: Any, values: Sequence[float]) -> None:
-        for steps, begin, end in zip(places, [0, *ends], ends):
+        for (path, steps, kind), begin, end in zip(places, [0, *ends], ends):
+            _check_limits(path, _element(kind) or kind, values[begin:end])
             _put(msg, steps, values[begin:end])
 
     return write
@@ -177,6 +232,15 @@ def _room(msg: Any, steps: Sequence[str | int]) -> int | None:
     if isinstance(found, (bool, bytes)):
         raise ValueError(f'expected fields of real or whole numbers, got {list(steps)}')
     return 1 if isinstance(found, (int, float)) else len(found) or None
+
+
+def _check_limits(path: str, kind: str, values: Sequence[float]) -> None:
+    """Refuse numbers that a field of a kind cannot hold, also once they are rounded."""
+    low, high = LIMITS[kind]
+    for value in values:
+        if not (low - 0.5 <= value <= high + 0.5 and low <= round(value) <= high):
+            raise ValueError(f'expected numbers from {low:.12g} to {high:.12g} for {path!r} '
+                             f'({kind}), got {float(value)!r}')
 
 
 def _put(msg: Any, steps: Sequence[str | int], values: Sequence[float]) -> None:

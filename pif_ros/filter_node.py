@@ -9,7 +9,8 @@ from typing import Any
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from pif_ros import interface, parameters
 from pif_ros.accounts import Accounts, Throttle
-from pif_ros.config import build_tracker, Config, ConfigError, describe, find_grid, find_system
+from pif_ros.config import (build_tracker, Config, ConfigError, describe, find_grid, find_system,
+                            uniform_of)
 from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.continuous import PathBelief
 from pif_ros.core.estimates import Estimate, Memory
@@ -132,7 +133,14 @@ class FilterNode(ManagedNode):
 
     @guarded
     def _on_global(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
-        self._restart(self.tracker.filter.uniform(), None, 'reinitialize_global_localization')
+        name = interface.GLOBAL.name
+        try:
+            belief = uniform_of(self.tracker.filter, f'{name}: expected a grid whose uniform '
+                                'belief fits')
+        except ConfigError as error:
+            self.report(name, str(error))
+        else:
+            self._restart(belief, None, name)
         return response
 
     @guarded

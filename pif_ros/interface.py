@@ -50,7 +50,8 @@ DENSITY = Endpoint('~/density', Float64MultiArray, 'the density over `density.ax
                    'first coordinate, spacing and unit; the sum times the cell volume is 1',
                    _reliable(1))
 DENSITY_MAP = Endpoint('~/density_map', OccupancyGrid, 'the marginal over x and y of the pose, '
-                       'for RViz and Foxglove: 100 in the densest cell', _LATCHED)
+                       'for RViz and Foxglove: 100 in the densest cell; 4 million cells at most',
+                       _LATCHED)
 MODES = Endpoint('~/modes', Float64MultiArray, 'one row for each hump of the density, heaviest '
                  'first: its mass, mean and covariance, 32 at most; at most at `modes.rate`, '
                  'where someone listens; `layout.dim` says what is where', _reliable(10))

@@ -7,13 +7,10 @@ from typing import Any
 
 from pif_ros.config import Config, ConfigError, specifications
 from pif_ros.config.kinds import taken
+from pif_ros.config.table import CLOCK, FOREIGN, is_foreign
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-
-#: Parameters of rclpy itself, which the table does not hold.
-CLOCK = 'use_sim_time'
-FOREIGN = (CLOCK, 'start_type_description_service')
 
 
 def declare(node: Node, given: Mapping[str, Any]) -> Config:
@@ -36,7 +33,7 @@ def told(node: Node) -> dict[str, Any]:
     """Return what a node was given by name, declared or not; without rclpy's own parameters."""
     # rclpy shows a name that nobody declared, and an empty list, nowhere else
     return {name: [] if parameter.value is None else parameter.value
-            for name, parameter in node._parameter_overrides.items() if not _ours(name)}
+            for name, parameter in node._parameter_overrides.items() if not is_foreign(name)}
 
 
 def mistyped(node: Node) -> str:
@@ -59,10 +56,6 @@ def live_values(changes: Sequence[Parameter], sources: Sequence[str]) -> dict[st
     specs = specifications(sources)
     return {change.name: taken(change.name, change.value, specs[change.name])
             for change in changes if change.name in specs}
-
-
-def _ours(name: str) -> bool:
-    return name in FOREIGN or name.startswith('qos_overrides.')
 
 
 def _descriptor(spec: Any, live: bool) -> ParameterDescriptor:

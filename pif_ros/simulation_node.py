@@ -13,6 +13,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped
 import numpy as np
+from numpy.typing import NDArray
 from pif_ros import conversions, fields, parameters
 from pif_ros.config import (Config, ConfigError, ControlConfig, find_system, SourceConfig,
                             state_axes)
@@ -27,6 +28,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 Spin = Callable[[float], None]
+Array = NDArray[np.float64]
 
 #: Seconds of silence before the first measurement, in which the clock is heard.
 LEAD_IN = 0.5
@@ -128,26 +130,28 @@ class Simulator(Node):
             if source.type != first.type:
                 raise ConfigError(f'measurements.{name}.type: expected {first.type!r}, as all on '
                                   f'topic {topic!r}, got {source.type!r}')
-            size = self.scenario.measurements[name].shape[1]
-            message, writers[name] = self._writer(f'measurements.{name}', source, size)
+            message, writers[name] = self._writer(f'measurements.{name}', source,
+                                                  self.scenario.measurements[name])
         return Outlet(self.create_publisher(message, topic, qos), message, writers)
 
     def _control_outlet(self, qos: QoSProfile) -> Outlet:
         config = self.config.control
-        size = len(self.scenario.controls.values[0])
-        message, write = self._writer('control', config, size)
+        values = np.array(self.scenario.controls.values)
+        message, write = self._writer('control', config, values)
         return Outlet(self.create_publisher(message, config.topic, qos), message,
                       {'control': write})
 
     def _writer(self, prefix: str, config: SourceConfig | ControlConfig,
-                size: int) -> tuple[Any, Callable[[Any, Any], None]]:
-        """Return the class of a message, and what puts so many numbers into its fields."""
+                values: Array) -> tuple[Any, Callable[[Any, Any], None]]:
+        """Return the class of a message, and what puts one of some (T, m) into its fields."""
         try:
             message = fields.message_class(config.type)
         except ValueError as error:
             raise ConfigError(f'{prefix}.type: {error}') from None
         try:
-            write = fields.field_writer(message, config.fields, size)
+            write = fields.field_writer(message, config.fields, values.shape[1])
+            for extreme in (values.min(axis=0), values.max(axis=0)):
+                write(message(), extreme)
         except ValueError as error:
             raise ConfigError(f'{prefix}.fields: {error}') from None
         if self.settings.speed == 0.0 and not fields.has_header(message):

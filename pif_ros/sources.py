@@ -54,7 +54,7 @@ class Inlet:
             raise ConfigError(f'{prefix}.fields: {error}') from None
         self._wrong = fields.doubter(self.type, config.fields)
         self.is_stamped = fields.has_header(self.type)
-        self._is_range = fields.is_range(self.type, config.fields)
+        self._beyond = fields.ranger(self.type, config.fields)
         self._newest: int | None = None
         self._is_mixed = False
 
@@ -93,9 +93,8 @@ class Inlet:
             raise Refused('not finite', f'expected finite numbers, got {list(values)}')
         if wrong := self._wrong(msg):
             raise Refused('bad covariance', wrong)
-        if self._is_range and not fields.in_range(msg):
-            raise Refused('out of range', f'expected a range from {msg.min_range:g} to '
-                          f'{msg.max_range:g}, got {msg.range:g}')
+        if beyond := self._beyond(msg):
+            raise Refused('out of range', beyond)
         return self._stamp(msg, now_ns, arrived_ns), values
 
     def _stamp(self, msg: Any, now_ns: int, arrived_ns: int | None) -> int:
@@ -112,12 +111,20 @@ class Inlet:
 
 
 class Source(Inlet):
-    """One topic of measurements by a sensor."""
+    """
+    One topic of measurements by a sensor.
+
+    Raises ConfigError also for fields that never hold just its numbers.
+    """
 
     def __init__(self, name: str, config: SourceConfig, sensor: Sensor, max_ahead: float,
                  account: SourceAccount | None = None) -> None:
         super().__init__(name, 'measurement', f'measurements.{name}', config, sensor.size,
                          max_ahead, account)
+        try:
+            fields.check_count(self.type, config.fields, sensor.size)
+        except ValueError as error:
+            raise ConfigError(f'{self.prefix}.fields: {error}') from None
 
     def item(self, msg: Any, now_ns: int | None, arrived_ns: int | None = None) -> Measurement:
         """Return the measurement in a message; Refused where it is none."""

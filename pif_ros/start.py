@@ -8,6 +8,7 @@ from typing import Any
 from geometry_msgs.msg import PoseWithCovarianceStamped
 import numpy as np
 from pif_ros import conversions
+from pif_ros.config import ConfigError, gaussian_of
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import Tracker
 from pif_ros.sources import Refused
@@ -31,13 +32,20 @@ def start_of(msg: PoseWithCovarianceStamped, tracker: Tracker[Any], axes: Sequen
     if stamp_ns < oldest_ns:
         raise Refused('too late', 'stamp: expected one at most time.max_gap before the last pose, '
                       f'got {stamp_ns / NANOSECONDS} s')
+    q, is_turned = msg.pose.pose.orientation, any(axis is not None for axis in axes[3:])
+    if is_turned and not np.all(np.isfinite(conversions.angles(msg.pose.pose))):
+        raise Refused('not finite', 'orientation: expected a quaternion of finite length, not 0, '
+                      f'got {[q.x, q.y, q.z, q.w]}')
     mean, covariance = conversions.gaussian_from_pose(
         msg.pose, axes, tracker.prior.mean(), tracker.prior.covariance())
     for name, values in (('mean', mean), ('covariance', covariance)):
         if not np.all(np.isfinite(values)):
             raise Refused('not finite', f'{name}: expected finite numbers, got {values.tolist()}')
     try:
-        return tracker.filter.gaussian(mean, covariance), stamp_ns
+        return gaussian_of(tracker.filter, mean, covariance, 'covariance: expected one that '
+                           'fits'), stamp_ns
+    except ConfigError as error:
+        raise Refused('too wide', str(error)) from None
     except ValueError as error:
         reason = 'bad covariance' if str(error).startswith('covariance') else 'off the grid'
         raise Refused(reason, str(error)) from None

@@ -1,6 +1,7 @@
 """What a user may set, and how everything else is refused."""
 
 from pathlib import Path
+import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +14,7 @@ from pif_ros.core.models import StateModel
 from pif_ros.core.systems import unicycle_2d
 from pif_ros.filter_node import FilterNode
 import pytest
-from ros import Graph, ROOT
+from ros import Graph, ROOT, write_parameters
 import yaml
 
 FILES = sorted((ROOT / 'config').glob('*.yaml'))
@@ -26,6 +27,17 @@ RANGE = {**PLANE, 'measurements.main.sensor': 'range',
          'measurements.main.params.landmark': [1.0, 2.0]}
 LINE = {'model.name': 'wiener', 'grid.lower': [-3.0], 'grid.upper': [3.0], 'grid.shape': [30],
         'prior.mean': [0.0], 'prior.covariance_diagonal': [1.0]}
+POINT = {**PLANE, 'measurements.main.topic': 'point',
+         'measurements.main.type': 'geometry_msgs/msg/PointStamped',
+         'measurements.main.fields': ['point.x', 'point.y']}
+FIXED = {**PLANE, 'measurements.main.topic': 'fixed',
+         'measurements.main.type': 'geometry_msgs/msg/PoseWithCovariance',
+         'measurements.main.fields': ['covariance[0]', 'covariance[35]']}
+#: Ten million cells, which are 3.2 GB at work.
+WORLD = {'model.name': 'unicycle_2d', 'grid.lower': [-50.0, -50.0, -3.0],
+         'grid.upper': [50.0, 50.0, 3.0], 'grid.shape': [500, 500, 40],
+         'prior.mean': [0.0] * 3, 'prior.covariance_diagonal': [1.0, 1.0, 0.1],
+         'measurements.main.sensor': 'position', 'measurements.main.params.sigma': 0.5}
 TWO = {'measurements.names': ['a', 'b'], 'measurements.a.topic': 'seen',
        'measurements.b.topic': 'seen'}
 
@@ -185,6 +197,20 @@ WRONG = [
     wrong('measurements.names', ['a', 'a'], 'once'),
     wrong('measurements.names', ['a b'], 'letters', got="'a b'"),
     wrong('measurements.names', ['names'], 'none of', got="'names'"),
+    *(wrong('measurements.names', [task], 'none of', task, got=repr(task))
+      for task in ('filter', 'belief', 'control', 'initialpose', 'timing')),
+    # what is too large to be made or reckoned with
+    wrong('kernel.time_step', 1e300, 'up to 1e9'),
+    wrong('kernel.time_step', 2e9, 'up to 1e9', of={**SMALL, 'filter.type': 'ekf'}),
+    wrong('kernel.time_step', 1e7, 'no wider than the grid', of=PLANE),
+    wrong('kernel.time_step', 1e7, 'no wider', of={**PLANE, 'region.kind': 'active'}),
+    wrong('kernel.time_step', 1e9, 'no wider', of=WORLD),
+    wrong('control.hold', 1e300, 'up to 1e9', of=WORLD),
+    wrong('control.hold', 0.0, 'positive', of=WORLD),
+    wrong('grid.shape', [2**40, 2**40, 2**40], 'memory', of=WORLD),
+    wrong('grid.shape', [2**62, 2**62], 'at most 1099511627776',
+          of={**PLANE, 'filter.type': 'ekf'}),
+    wrong('grid.shape', [10**9, 10**9, 10**9], 'memory', of=WORLD),
     wrong('measurements.main.topic', '', 'name'),
     wrong('measurements.main.topic', 'bad topic', 'topic'),
     wrong('measurements.main.topic', 'a//b', 'topic'),
@@ -199,6 +225,13 @@ WRONG = [
           says='measurements.main.fields'),
     wrong('measurements.main.fields', ['dta'], 'layout, data', got="'dta'"),
     wrong('measurements.main.fields', ['layout'], 'number', got="'layout'"),
+    # what never holds the two numbers of the sensor
+    wrong('measurements.main.fields', ['point.x'], '2 numbers', of=POINT),
+    wrong('measurements.main.fields', ['point.x', 'point.y', 'point.z'], '2 numbers', of=POINT),
+    wrong('measurements.main.fields', ['covariance'], '2 numbers', of=FIXED),
+    wrong('measurements.main.fields', ['covariance', 'pose.position.x'], '2 numbers', of=FIXED),
+    wrong('measurements.main.fields', ['covariance[0]', 'covariance[36]'], 'below 36', of=FIXED,
+          got="'covariance[36]'"),
 ]
 
 
@@ -228,8 +261,8 @@ def test_there_are_many_wrong_configurations_and_each_is_another():
     assert len({str(case.values[0]) for case in WRONG}) == len(WRONG) >= 40
 
 
-@pytest.mark.parametrize('base', [SMALL, PLANE, RANGE, LINE],
-                         ids=['small', 'plane', 'range', 'line'])
+@pytest.mark.parametrize('base', [SMALL, PLANE, RANGE, LINE, POINT, FIXED, WORLD],
+                         ids=['small', 'plane', 'range', 'line', 'point', 'fixed', 'world'])
 def test_what_the_wrong_configurations_were_made_from_is_right(one_graph, base):
     assert isinstance(one_graph.filter_node(base), FilterNode)
 
@@ -238,6 +271,35 @@ def test_a_grid_too_large_for_the_memory_is_refused_before_it_is_made():
     config = Config.from_parameters({'grid.shape': [46000, 46000]})
     with pytest.raises(ConfigError, match='^grid.shape: .* memory'):
         build_tracker(config)
+
+
+@pytest.mark.parametrize(('more', 'name'), [
+    ({'prior.type': 'uniform'}, 'grid.shape'),
+    ({'prior.covariance_diagonal': [1e6, 1e6, 10.0]}, 'grid.shape'),
+    ({'measurements.main.gate.tail_probability': 1e-4}, 'recovery.belief'),
+    ({'recovery.when_lost': True}, 'recovery.belief')],
+    ids=['uniform prior', 'wide prior', 'gate', 'recovery'])
+def test_a_belief_of_all_of_a_world_that_does_not_fit_is_refused_before_it_is_made(
+        monkeypatch, more, name):
+    monkeypatch.setattr('pif_ros.config.filters._available_memory', lambda: 2_000_000_000)
+    assert build_tracker(Config.from_parameters(WORLD)).prior.size < 100_000
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match=f'^{name}: expected .* fits into the 2.0 GB of memory'):
+        build_tracker(Config.from_parameters({**WORLD, **more}))
+    assert tracemalloc.get_traced_memory()[1] < 20_000_000  # one array of all cells has 80 MB
+    tracemalloc.stop()
+
+
+def test_a_recovery_to_the_prior_needs_no_room_for_all_of_the_world(monkeypatch):
+    monkeypatch.setattr('pif_ros.config.filters._available_memory', lambda: 2_000_000_000)
+    build_tracker(Config.from_parameters({**WORLD, 'recovery.belief': 'prior',
+                                          'recovery.when_lost': True}))
+
+
+def test_a_prior_off_a_world_that_does_not_fit_is_blamed_for_its_place(monkeypatch):
+    monkeypatch.setattr('pif_ros.config.filters._available_memory', lambda: 2_000_000_000)
+    with pytest.raises(ConfigError, match='^prior.mean: expected a point on the grid'):
+        build_tracker(Config.from_parameters({**WORLD, 'prior.mean': [60.0, 0.0, 0.0]}))
 
 
 @pytest.mark.parametrize('path', FILES, ids=lambda path: path.stem)
@@ -256,6 +318,16 @@ def test_every_file_of_the_package_makes_a_filter(path):
 @pytest.mark.parametrize('path', FILES, ids=lambda path: path.stem)
 def test_every_file_of_the_package_says_the_same_to_the_node(graph, path):
     assert graph.filter_node_of(path).config == Config.from_yaml(path)
+
+
+@pytest.mark.parametrize('foreign', [
+    {'use_sim_time': False}, {'start_type_description_service': True},
+    {'qos_overrides': {'/clock': {'subscription': {'depth': 5}}}}], ids=lambda given: min(given))
+def test_a_file_with_parameters_of_rclpy_says_the_same_to_the_library_as_to_the_node(
+        graph, tmp_path, foreign):
+    file = write_parameters(tmp_path / 'file.yaml', {**PLANE, **foreign})
+    assert graph.filter_node_of(file).config == Config.from_yaml(file)
+    assert Config.from_yaml(file) == Config.from_parameters(PLANE)
 
 
 def test_every_parameter_stands_in_a_file_of_the_package():

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import tracemalloc
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
@@ -11,8 +12,11 @@ from nav_msgs.msg import OccupancyGrid
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 from pif_ros import conversions, fields
+from pif_ros.config import build_tracker, Config
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
+from pif_ros.sources import Refused
+from pif_ros.start import start_of
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import BatteryState, Imu, JointState, LaserScan
@@ -231,6 +235,42 @@ def test_angles_are_the_inverse_of_the_quaternion(roll, pitch, yaw):
     assert_allclose(found, (roll, pitch, yaw), rtol=0, atol=1e-7 if abs(pitch) > 1.5 else 1e-12)
 
 
+@pytest.mark.parametrize('length', [1e-300, 0.5, 2**0.5, 1e300])
+@pytest.mark.parametrize('yaw', [0.0, 0.25, math.pi / 2, -3.0])
+def test_the_angles_of_a_quaternion_of_any_length_are_those_of_its_direction(yaw, length):
+    found = conversions.angles(Pose(orientation=Quaternion(
+        z=length * math.sin(yaw / 2), w=length * math.cos(yaw / 2))))
+    assert_allclose(found, (0.0, 0.0, yaw), rtol=0, atol=1e-12)
+
+
+NO_ROTATION = [(0.0, 0.0), (math.nan, 1.0), (math.inf, 0.0)]
+
+
+@pytest.mark.parametrize(('z', 'w'), NO_ROTATION)
+def test_what_is_no_rotation_has_no_angles(z, w):
+    assert np.all(np.isnan(conversions.angles(Pose(orientation=Quaternion(z=z, w=w)))))
+
+
+@pytest.mark.parametrize(('z', 'w'), NO_ROTATION)
+def test_an_orientation_that_is_none_is_refused_only_where_a_state_is_an_angle(z, w):
+    tracker = build_tracker(Config.from_parameters({
+        'model.name': 'unicycle_2d', 'filter.type': 'ekf', 'grid.lower': [-9.0, -9.0, -3.0],
+        'grid.upper': [9.0, 9.0, 3.0], 'grid.shape': [9, 9, 9], 'prior.mean': [0.0, 0.0, 0.5],
+        'prior.covariance_diagonal': [1.0, 1.0, 0.1], 'measurements.main.sensor': 'position',
+        'measurements.main.params.sigma': 0.3}))
+    message = PoseWithCovarianceStamped(pose=filled(
+        np.array([1.0, 2.0]), np.eye(2), (0, 1, None, None, None, None), 0.25))
+    message.pose.pose.orientation = Quaternion(z=z, w=w)
+    belief, _ = start_of(message, tracker, (0, 1, *[None] * 4), 'map', STAMP, 0)
+    assert_allclose(belief.mean(), [1.0, 2.0, 0.5])
+    with pytest.raises(Refused, match='^orientation: expected .*, got ') as refused:
+        start_of(message, tracker, (0, 1, None, None, None, 2), 'map', STAMP, 0)
+    assert refused.value.reason == 'not finite'
+    message.pose.pose.orientation = Quaternion(z=1.0, w=1.0)
+    belief, _ = start_of(message, tracker, (0, 1, None, None, None, 2), 'map', STAMP, 0)
+    assert_allclose(belief.mean(), [1.0, 2.0, math.pi / 2])
+
+
 @given(HALF_TURN, HALF_TURN, HALF_TURN)
 def test_a_quaternion_turns_as_the_three_rotations_one_after_the_other(roll, pitch, yaw):
     def turn(axis, angle):
@@ -331,6 +371,44 @@ def test_a_map_of_unequal_spacings_shows_everything_where_it_is(upper, shape):
         i = min(int(x[column] / grid.spacing[0] + 1e-4), shape[0] - 1)
         j = min(int(y[row] / grid.spacing[1] + 1e-4), shape[1] - 1)
         assert shown[row, column] == share[i, j]
+
+
+@pytest.mark.parametrize(('upper', 'shape'), [
+    ((5000.0, 1.0), (100, 100)), ((1.0, 7e5), (50, 7)), ((1e9, 1.0), (3, 4)),
+    ((3.0, 2.0), (3000, 2000)), ((1e30, 1e-5), (4, 4))])
+def test_a_map_has_four_million_cells_at_most_of_the_mean_density(upper, shape):
+    grid = Grid((0.0, 0.0), upper, shape)
+    belief = some_belief(grid)
+    tracemalloc.start()
+    message = conversions.map_message(belief, STAMP, 'map')
+    info, data = message.info, message.data
+    assert tracemalloc.get_traced_memory()[1] < 400_000_000
+    tracemalloc.stop()
+    assert info.width * info.height == len(data) <= 4_000_000
+    shown = np.reshape(data, (info.height, info.width))
+    assert shown.max() == 100 and shown.min() >= 0
+    # the mass left of a column, or below a row, is what is shown there
+    for axis, count in ((0, info.width), (1, info.height)):
+        mass = np.append(0.0, np.cumsum(belief.density.sum(axis=1 - axis)))
+        places = np.linspace(0, count, 6).round()
+        left = np.interp(places * info.resolution, np.linspace(0, upper[axis], shape[axis] + 1),
+                         mass / mass[-1])
+        of_the_map = np.append(0.0, np.cumsum(shown.sum(axis=axis, dtype=float)))
+        assert_allclose(of_the_map[places.astype(int)] / of_the_map[-1], left / left[-1],
+                        atol=0.03)
+        # it ends within half of its cells of where the grid does
+        assert abs(count * info.resolution - upper[axis]) <= max(
+            info.resolution / 2, info.resolution - upper[axis]) * (1 + 1e-6)
+
+
+def test_a_narrow_peak_is_seen_in_a_map_of_wider_cells():
+    grid = Grid((0.0, 0.0), (3.0, 3.0), (3000, 3000))
+    density = np.zeros((3000, 3000))
+    density[1700, 401] = 1.0
+    heard = conversions.map_message(GridBelief(grid, density), STAMP, 'map')
+    assert np.flatnonzero(heard.data).tolist() == [200 * heard.info.width + 850]
+    assert (heard.info.width, heard.info.height) == (1500, 1500)
+    assert heard.info.resolution == pytest.approx(0.002)
 
 
 def test_a_map_is_all_bytes_from_0_to_100():

@@ -27,6 +27,26 @@ def test_what_is_written_is_read_again(name, fields, values):
     assert field_reader(kind, fields)(heard) == values
 
 
+@pytest.mark.parametrize(('name', 'fields', 'good', 'bad'), [
+    ('std_msgs/msg/UInt8', [], (255.4, -0.4), (255.6, -0.6, 1e300, float('nan'))),
+    ('std_msgs/msg/Int8MultiArray', [], (127.0, -128.0), (128.0, -129.0, float('inf'))),
+    ('std_msgs/msg/UInt64', [], (1e19, 0.0), (1.9e19, -1.0)),
+    ('std_msgs/msg/Int64', ['data'], (-2.0**63, 9e18), (2.0**63, -1e19)),
+    ('sensor_msgs/msg/LaserScan', ['ranges[2]'], (3.4e38, -3.4e38), (3.5e38, -3.5e38)),
+    ('sensor_msgs/msg/Range', ['range'], (0.1, 3.4e38), (1e39,))])
+def test_a_number_that_its_field_cannot_hold_is_refused_by_the_name_of_the_field(
+        name, fields, good, bad):
+    kind = message_class(name)
+    write, message = field_writer(kind, fields, 1), kind()
+    for value in good:
+        write(message, [value])
+        serialize_message(message)
+    for value in bad:
+        path = (fields or ['data'])[0].replace('[', r'\[')
+        with pytest.raises(ValueError, match=f"^expected numbers from .* for '{path}' .*, got "):
+            write(message, [value])
+
+
 def test_nothing_else_is_written():
     message = PoseWithCovarianceStamped()
     message.pose.covariance[0] = 2.0
@@ -40,6 +60,7 @@ def test_nothing_else_is_written():
     ('sensor_msgs/msg/JointState', ['position', 'velocity'], 3, 'fields that hold 3 numbers'),
     ('geometry_msgs/msg/PoseArray', ['poses[0].position.x'], 1, 'an index at the end of a path'),
     ('std_msgs/msg/Bool', ['data'], 1, 'fields of real or whole numbers'),
+    ('std_msgs/msg/ByteMultiArray', ['data'], 1, 'fields of real or whole numbers'),
     ('sensor_msgs/msg/Range', ['rang'], 1, 'fields out of'),
 ])
 def test_fields_that_cannot_hold_just_so_many_numbers_are_refused(name, fields, size, wanted):

@@ -540,6 +540,22 @@ def test_global_localization_spreads_the_belief_over_the_grid(graph):
     check_healthy(rig)
 
 
+def test_what_would_make_all_of_a_world_that_does_not_fit_is_refused_in_a_line(
+        graph, monkeypatch):
+    rig = Rig(graph, {**PLANE, 'region.kind': 'active', 'grid.shape': [2000, 2000],
+                      'grid.lower': [-300.0, -300.0], 'grid.upper': [300.0, 300.0]})
+    follow(rig, track())
+    before = rig.node.tracker.newest
+    # four million cells are 1.28 GB at work
+    monkeypatch.setattr('pif_ros.config.filters._available_memory', lambda: 500_000_000)
+    graph.call(rig.client(Empty, '/reinitialize_global_localization'), Empty.Request())
+    rig.line('reinitialize_global_localization: expected', 'memory', 'got [2000, 2000]')
+    rig.send('initialpose', start(variances=(1e6, 1e6)))
+    rig.line('initialpose: covariance: expected', 'memory', 'got [2000, 2000]')
+    assert rig.node.accounts.initial_pose.rejected == {'too wide': 1}
+    assert rig.node.tracker.newest is before and rig.node.restarts == rig.node.faults == 0
+
+
 # What goes out besides
 
 

@@ -61,6 +61,14 @@ def test_every_other_filter_is(kind):
     assert tracker.guard.alarm is not None and tracker.guard.recovery is not None
 
 
+def test_targets_of_one_filter_may_say_it_in_more_or_fewer_words():
+    many = FilterOfMany()
+    many.tracker('one', Config.from_parameters(SMALL))
+    many.tracker('two', Config.from_parameters({
+        **SMALL, 'model.params.sigma': 1.0, 'measurements.main.sensor': 'position'}))
+    assert len(many) == 1
+
+
 def test_a_target_of_many_is_watched_only_where_it_is_to_recover():
     many = FilterOfMany()
     plain = many.tracker('one', Config.from_parameters(SMALL))

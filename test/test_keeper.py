@@ -242,7 +242,7 @@ def test_a_control_that_would_be_refused_as_too_fast_is_not_taken_from_a_file(fi
 
 @pytest.mark.parametrize(('name', 'value'), [
     ('model.params.diffusion', 2.0), ('grid.shape', [12, 12]), ('grid.upper', [4.0, 6.0]),
-    ('kernel.time_step', 0.2), ('filter.type', 'ekf'), ('measurements.main.sensor', ''),
+    ('kernel.time_step', 0.2), ('filter.type', 'ekf'), ('grid.periodic', [True, False]),
     ('measurements.main.params.sigma', 0.5), ('region.kind', 'active'),
     ('filter.significance', 0.01)])
 def test_the_state_of_another_filter_is_refused_with_the_parameter_that_differs(file, name, value):
@@ -260,6 +260,26 @@ def test_what_does_not_change_the_filter_may_change_between(file, name, value):
     other.load()
     assert (other.tracker.estimate().belief.density.tobytes()
             == one.tracker.estimate().belief.density.tobytes())
+
+
+SAID = {'measurements.main.sensor': '', 'model.params.diffusion': 1, 'grid.periodic': [False] * 2}
+
+
+@pytest.mark.parametrize('name', SAID)
+def test_what_is_so_by_default_may_be_written_out_or_not(file, name):
+    for said, unsaid in ((SAID, {}), ({}, SAID)):
+        one, other = saved(file, **{k: v for k, v in said.items() if k == name}), Kept(
+            file, **{k: v for k, v in unsaid.items() if k == name})
+        other.load()
+        assert (other.tracker.estimate().belief.density.tobytes()
+                == one.tracker.estimate().belief.density.tobytes())
+        file.unlink()
+
+
+def test_a_state_of_the_default_configuration_has_the_names_that_it_always_had():
+    found = identity(Config.from_parameters({}))
+    assert found['measurements.main.sensor'] == '' and found['grid.periodic'] == []
+    assert not [name for name in found if '.params.' in name]
 
 
 def test_every_parameter_is_either_of_the_filter_or_named_here():

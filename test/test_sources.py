@@ -151,6 +151,28 @@ def test_a_range_that_saw_nothing_is_no_measurement(low, high, value, good):
         assert why == 'out of range' and f'{value:g}' in sentence
 
 
+@pytest.mark.parametrize('low, high, values, bad', [
+    (0.5, 10.0, (0.5, 10.0), None), (0.5, 10.0, (3.0, 10.5), 10.5), (0.5, 10.0, (0.4, 3.0), 0.4),
+    (0.0, 0.0, (3.0, 4.0), None), (0.0, 0.0, (3.0, -1.0), -1.0)])
+@pytest.mark.parametrize('paths', [('ranges',), ('ranges[0]', 'ranges[1]')], ids=len)
+def test_a_beam_of_a_scan_that_saw_nothing_is_no_measurement(paths, low, high, values, bad):
+    scan, message = source('sensor_msgs/msg/LaserScan', *paths), LaserScan(
+        range_min=low, range_max=high, ranges=values)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(NOW, 10**9)
+    if bad is None:
+        assert scan.item(message, NOW).values == values
+    else:
+        assert reason(message, scan) == (
+            'out of range', f'expected a range from {low:g} to {high:g}, got {bad:g}')
+
+
+def test_a_beam_that_is_not_read_may_have_seen_nothing():
+    scan, message = source('sensor_msgs/msg/LaserScan', 'ranges[1]', sensor=ONE), LaserScan(
+        range_min=0.5, range_max=10.0, ranges=[99.0, 3.0, 0.0])
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(NOW, 10**9)
+    assert scan.item(message, NOW).values == (3.0,)
+
+
 def test_a_control_is_asked_at_its_time_in_seconds_whether_a_step_can_follow_it():
     asked = []
     drive = ControlSource(ControlConfig('drive', 'sensor_msgs/msg/JointState', ('velocity',)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from pif_ros.config.build import build_tracker, find_sensors, find_system
+from pif_ros.config.build import build_tracker, find_sensors, find_system, plain
 from pif_ros.config.identity import flat, SHARED
 from pif_ros.config.kinds import ConfigError
 from pif_ros.config.table import Config
@@ -27,8 +27,8 @@ class FilterOfMany:
     def tracker(self, target: str, config: Config) -> Member:
         """Return a target's tracker; ConfigError where its kernel is not that of the others."""
         if self._first is None:
-            self._first = target, config
-        _check_shared(*self._first, config)
+            self._first = target, plain(config)
+        _check_shared(*self._first, plain(config))
         known = self._known(config)
         if not config.recovery.when_lost:
             # the watch takes longer than a target's share of a prediction together
@@ -58,7 +58,7 @@ class FilterOfMany:
 def _sensors_of(config: Config) -> object:
     """Return what the sensors of a configuration are made of."""
     return [(name, source.sensor, dict(source.params))
-            for name, source in config.measurements.sources.items()]
+            for name, source in plain(config).measurements.sources.items()]
 
 
 def _check_shared(first: str, wanted: Config, given: Config) -> None:

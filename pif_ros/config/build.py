@@ -10,7 +10,7 @@ import math
 from typing import Any, TypeVar
 
 import numpy as np
-from pif_ros.config.filters import make_filter
+from pif_ros.config.filters import gaussian_of, make_filter, uniform_of
 from pif_ros.config.guard import make_guard
 from pif_ros.config.kinds import ConfigError, named
 from pif_ros.config.table import Config
@@ -21,6 +21,9 @@ from pif_ros.core.systems import System, SYSTEMS
 from pif_ros.core.tracker import Tracker
 
 Made = TypeVar('Made')
+
+#: Cells on an axis beyond which they cannot be numbered, halved and told apart.
+MOST_CELLS = 2**40
 
 
 def build_tracker(config: Config, filter_: Filter[Any] | None = None,
@@ -60,6 +63,9 @@ def find_grid(config: Config, model: StateModel) -> Grid:
         if len(given) != model.ndim and not (name == 'periodic' and not given):
             raise ConfigError(f'grid.{name}: expected {model.ndim} values, one for each '
                               f'state ({states}), got {list(given)}')
+    if max(config.grid.shape) > MOST_CELLS:
+        raise ConfigError(f'grid.shape: expected at most {MOST_CELLS} cells on an axis, '
+                          f'got {list(config.grid.shape)}')
     with named('grid'):
         return Grid(config.grid.lower, config.grid.upper, config.grid.shape,
                     config.grid.periodic)
@@ -68,6 +74,41 @@ def find_grid(config: Config, model: StateModel) -> Grid:
 def find_system(config: Config) -> System:
     """Return the system that is named, with its constants."""
     name = config.model.name
+    system = _made('model.params', _maker(name), config.model.params)
+    if not isinstance(system, System):
+        raise ConfigError(f'model.name: expected an entry point that makes a System, got {name!r},'
+                          f' which makes {system!r}')
+    return system
+
+
+def plain(config: Config) -> Config:
+    """
+    Return the same configuration without what model, sensors and grid are without being told.
+
+    Two that make the same filter are the same then, as long as the defaults are.
+    """
+    model, system = config.model, find_system(config)
+    first, sources = next(iter(system.sensors)), {}
+    for name, source in config.measurements.sources.items():
+        params = _told(system.sensors[source.sensor or first], source.params)
+        sources[name] = dataclasses.replace(
+            source, params=params, sensor='' if source.sensor == first else source.sensor)
+    return dataclasses.replace(
+        config, model=dataclasses.replace(model, params=_told(_maker(model.name), model.params)),
+        grid=config.grid if any(config.grid.periodic) else dataclasses.replace(
+            config.grid, periodic=()),
+        measurements=dataclasses.replace(config.measurements, sources=sources))
+
+
+def _told(maker: Callable[..., Any], params: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the constants that are not a maker's defaults."""
+    defaults = inspect.signature(maker).parameters
+    return {name: value for name, value in params.items()
+            if not np.array_equal(value, defaults[name].default)}
+
+
+def _maker(name: str) -> Callable[..., System]:
+    """Return what makes the system of a name."""
     known: dict[str, Callable[..., System]] = dict(SYSTEMS)
     installed = {entry.name: entry for entry in entry_points(group='pif_ros.systems')}
     if name not in known and name in installed:
@@ -75,11 +116,7 @@ def find_system(config: Config) -> System:
     if name not in known:
         raise ConfigError(f'model.name: expected one of {", ".join(sorted({*known, *installed}))},'
                           f' got {name!r}')
-    system = _made('model.params', known[name], config.model.params)
-    if not isinstance(system, System):
-        raise ConfigError(f'model.name: expected an entry point that makes a System, got {name!r},'
-                          f' which makes {system!r}')
-    return system
+    return known[name]
 
 
 def state_axes(name: str, given: Sequence[str], model: StateModel) -> tuple[int | None, ...]:
@@ -116,7 +153,7 @@ def _in_sense(config: Config, model: StateModel) -> StateModel:
 
 def _prior(config: Config, filter_: Filter[Any], model: StateModel) -> Any:
     if config.prior.type == 'uniform':
-        return filter_.uniform()
+        return uniform_of(filter_, 'grid.shape: expected a grid whose uniform prior fits')
     for name in ('mean', 'covariance_diagonal'):
         given = getattr(config.prior, name)
         if len(given) != model.ndim:
@@ -126,7 +163,8 @@ def _prior(config: Config, filter_: Filter[Any], model: StateModel) -> Any:
         raise ConfigError('prior.covariance_diagonal: expected positive numbers, got '
                           f'{list(config.prior.covariance_diagonal)}')
     with named('prior'):
-        return filter_.gaussian(config.prior.mean, np.diag(config.prior.covariance_diagonal))
+        return gaussian_of(filter_, config.prior.mean, np.diag(config.prior.covariance_diagonal),
+                           'grid.shape: expected a grid on which the prior fits')
 
 
 def _sensor(config: Config, source: str, system: System) -> Sensor:

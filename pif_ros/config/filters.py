@@ -7,9 +7,10 @@ import dataclasses
 import os
 from pathlib import Path
 import re
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pif_ros.config.kinds import ConfigError, named
 from pif_ros.config.table import Config
 from pif_ros.core.active import ActiveGridFilter, RegionSettings, unsuited
@@ -17,6 +18,7 @@ from pif_ros.core.continuous import DiracFeynmanYauFilter, ExtendedKalmanBucyFil
 from pif_ros.core.filters import DiracFeynmanFilter, Filter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import chosen_form, KernelSettings, OperatorSettings, stored_weights
+from pif_ros.core.kernels.lattice import variance_in_cells
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.rivals import ExtendedKalmanFilter, ParticleFilter, UnscentedKalmanFilter
 
@@ -86,17 +88,37 @@ def _active_filter(config: Config, model: StateModel, grid: Grid,
     _expect_defaults('filter', config.filter, why, 'significance')
     if kept := _changed(config.kernel, 'time_step', 's'):
         _expect_defaults('kernel', config.kernel, why, *kept)
-    if config.prior.type == 'uniform':
-        _check('grid.shape: expected a grid whose uniform prior fits', list(grid.shape),
-               8.0 * ARRAYS_PER_GRID * float(np.prod(np.array(grid.shape, dtype=float))))
     with named('region'):
         region = RegionSettings(config.region.negligible, config.region.resolution,
                                 config.region.finest)
     try:
-        return ActiveGridFilter(model, grid, sensors, config.kernel.time_step,
-                                config.filter.average_cells, region)
+        filter_ = ActiveGridFilter(model, grid, sensors, config.kernel.time_step,
+                                   config.filter.average_cells, region)
+        _check_step(model, grid, _settings(config))
+        return filter_
+    except ConfigError:
+        raise
     except ValueError as error:
         raise ConfigError(f'region.kind: {str(error).removeprefix("region: ")}') from None
+
+
+def uniform_of(filter_: Filter[Any], wanted: str) -> Any:
+    """
+    Return the belief that knows nothing but the grid; ConfigError where that does not fit.
+
+    wanted: how the error's line begins, before 'into the ... of memory'.
+    """
+    if _has_active_cells(filter_):
+        _check_cells(wanted, filter_.grid, filter_.grid.size)
+    return filter_.uniform()
+
+
+def gaussian_of(filter_: Filter[Any], mean: ArrayLike, covariance: ArrayLike,
+                wanted: str) -> Any:
+    """Return the Gaussian belief of a filter, with the same check of its size."""
+    if _has_active_cells(filter_):
+        _check_cells(wanted, filter_.grid, filter_.cells_of(mean, covariance))
+    return filter_.gaussian(mean, covariance)
 
 
 def describe(config: Config, filter_: Filter[Any]) -> str:
@@ -173,6 +195,8 @@ def _with_form(model: StateModel, grid: Grid, settings: KernelSettings,
         settings = dataclasses.replace(settings, form='tabulated')
     # before a form is chosen, for which a kernel may have to be made
     _check_grid_memory(model, grid, settings, operator)
+    if settings.form != 'tabulated' and not model.multiplicative:
+        _check_step(model, grid, settings)
     with named('kernel'):
         form = chosen_form(model, grid, settings, operator)
     try:
@@ -181,6 +205,19 @@ def _with_form(model: StateModel, grid: Grid, settings: KernelSettings,
         # the other form does, and is possible; where it is not good it says so
         form = 'split'
     return dataclasses.replace(settings, form=form)
+
+
+def _check_step(model: StateModel, grid: Grid, settings: KernelSettings) -> None:
+    """
+    Refuse a step whose noise is wider than the grid: nothing would be known after it.
+
+    To make an operator along an axis, or to spread active cells, would take ages.
+    """
+    variance = np.diagonal(variance_in_cells(model, grid, settings, 0.0)[..., 0])
+    widest = float(np.max(np.sqrt(variance) / grid.shape))
+    if widest > 1:
+        raise ConfigError('kernel.time_step: expected a step whose noise is no wider than the '
+                          f'grid, got {settings.time_step!r} ({widest:.3g} times as wide)')
 
 
 def _check_grid_memory(model: StateModel, grid: Grid, settings: KernelSettings,
@@ -207,6 +244,16 @@ def _check(wanted: str, given: Any, needed: float, fits: bool = True) -> None:
     if needed > 0.8 * free or not fits:
         raise ConfigError(f'{wanted} into the {free / 1e9:.1f} GB of memory that are free, '
                           f'got {given} ({needed / 1e9:.3g} GB)')
+
+
+def _has_active_cells(filter_: Any) -> TypeGuard[ActiveGridFilter]:
+    """Return whether a filter works on active cells, even where it is one that is timed."""
+    return isinstance(getattr(filter_, 'region', None), RegionSettings)
+
+
+def _check_cells(wanted: str, grid: Grid, cells: int) -> None:
+    """Refuse a belief of more cells of a grid than fit, which was never made as a whole."""
+    _check(wanted, list(grid.shape), 8.0 * ARRAYS_PER_GRID * cells)
 
 
 def _available_memory() -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pif_ros.config.filters import OF_A_PATH
+from pif_ros.config.filters import OF_A_PATH, uniform_of
 from pif_ros.config.kinds import ConfigError, named
 from pif_ros.config.table import Config
 from pif_ros.core.clutter import Clutter
@@ -28,10 +28,17 @@ def make_guard(config: Config, filter_: Filter[Any], prior: Any, grid: Grid,
         raise ConfigError('recovery.when_lost: expected false where lost.false_alarm_rate is 0, '
                           'got true')
     wanted = config.recovery.when_lost or any(gate.tail_probability for gate in gates.values())
-    belief = filter_.uniform if config.recovery.belief == 'uniform' else lambda: prior
-    recovery = (Recovery(belief(), config.recovery.share, config.recovery.when_lost)
-                if wanted else None)
+    recovery = (Recovery(_belief(config, filter_, prior), config.recovery.share,
+                         config.recovery.when_lost) if wanted else None)
     return Guard(gates, recovery, Alarm(rate) if rate else None)
+
+
+def _belief(config: Config, filter_: Filter[Any], prior: Any) -> Any:
+    """Return what a recovery mixes in."""
+    if config.recovery.belief == 'prior':
+        return prior
+    return uniform_of(filter_, "recovery.belief: expected 'prior', or a grid whose uniform belief "
+                      'fits')
 
 
 def _gate(config: Config, name: str, sensor: Sensor, grid: Grid) -> Gate:

@@ -7,6 +7,7 @@ import dataclasses
 import json
 from typing import Any
 
+from pif_ros.config.build import plain
 from pif_ros.config.table import Config
 
 #: The sections that make the kernel, and with it the filter.
@@ -21,8 +22,10 @@ def identity(config: Config) -> dict[str, Any]:
 
     Model, grid, filter, kernel, the sensors, and for how long a control holds.  Not the prior, by
     which nothing goes that is believed already, nor topics, rates and how long is remembered.
+    What is written out that is so by default is left out.
     """
     found: dict[str, Any] = {}
+    config = plain(config)
     for section in SHARED:
         found |= flat(section, getattr(config, section))
     del found[ASIDE]

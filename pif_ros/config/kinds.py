@@ -107,6 +107,13 @@ def _duration(value: Value) -> float:
     return number
 
 
+def _span(value: Value) -> float:
+    number = _duration(value)
+    if not number:
+        raise ValueError
+    return number
+
+
 def _period(value: Value) -> float:
     number = _duration(value)
     if number and number < 0.1:
@@ -166,6 +173,7 @@ BETWEEN = Kind('a number between 0 and 1', _between)
 SEED, STEPS = Kind('a whole number, 0 or more', _seed), Kind('a whole number, 1 to 1000', _steps)
 DURATION = Kind('a number from 0 to 1e9', _duration)
 FREQUENCY = Kind('0, or a number from 0.001 to 1000', _frequency)
+SPAN = Kind('a positive number up to 1e9', _span)
 PERIOD = Kind('0, or a number from 0.1 to 1e9', _period)
 BOOL, TEXT, NAME = Kind('true or false', _bool), Kind('text', _text), Kind('a name', _name)
 NUMBERS = Kind('a list of finite numbers', _many(_number))

@@ -12,7 +12,8 @@ from typing import Any
 
 from pif_ros.config.kinds import (BETWEEN, BOOL, BOOLS, COUNT, DURATION, FREQUENCY, INTEGER,
                                   INTEGERS, LIMITS, NAME, NAMES, NOT_NEGATIVE, NUMBER, NUMBERS,
-                                  one_of, parameter, PART, POSITIVE, SEED, SHARE, STEPS, TEXT)
+                                  one_of, parameter, PART, POSITIVE, SEED, SHARE, SPAN, STEPS,
+                                  TEXT)
 from pif_ros.core.continuous import SCHEMES
 
 
@@ -92,7 +93,7 @@ class FilterConfig:
 class KernelConfig:
     """How one step is made."""
 
-    time_step: float = parameter(0.01, POSITIVE, 'length of a step', 's')
+    time_step: float = parameter(0.01, SPAN, 'length of a step', 's')
     r: float = parameter(0.5, NUMBER, 'where between the two ends of a step the drift is taken, '
                          '0 to 1')
     s: float = parameter(-1.0, NUMBER, 'the same of a vielbein that depends on the state, which '
@@ -204,7 +205,7 @@ class ControlConfig:
     fields: tuple[str, ...] = parameter(
         ('twist.linear.x', 'twist.angular.z'), NAMES, "paths of the fields that are the model's "
         'inputs, in their order')
-    hold: float = parameter(1.0, POSITIVE, 'for how long a control holds where no other follows; '
+    hold: float = parameter(1.0, SPAN, 'for how long a control holds where no other follows; '
                             'after that it is 0', 's')
 
 

@@ -23,6 +23,14 @@ from pif_ros.config.sections import (ControlConfig, DensityConfig, DiagnosticsCo
                                      RegionConfig, SourceConfig, TimeConfig)
 import yaml
 
+#: What the node tells of at /diagnostics besides its sources.
+TASKS = frozenset(('filter', 'belief', 'control', 'initialpose', 'timing'))
+
+#: Parameters of rclpy itself, which the table does not hold, and what others of its begin with.
+CLOCK = 'use_sim_time'
+FOREIGN = (CLOCK, 'start_type_description_service')
+OVERRIDES = 'qos_overrides.'
+
 
 @dataclass(frozen=True)
 class Config:
@@ -81,8 +89,13 @@ class Config:
         given: dict[str, Value] = {}
         for name in ('/**', node, f'/{node}'):
             given.update(_flat((tree.get(name) or {}).get('ros__parameters') or {}))
-        given.pop('use_sim_time', None)
-        return cls.from_parameters(given)
+        return cls.from_parameters({name: value for name, value in given.items()
+                                    if not is_foreign(name)})
+
+
+def is_foreign(name: str) -> bool:
+    """Return whether a parameter is one of rclpy itself."""
+    return name in FOREIGN or name.startswith(OVERRIDES)
 
 
 def specifications(source_names: Sequence[str] = ('main',)) -> dict[str, dataclasses.Field[Any]]:
@@ -136,7 +149,7 @@ def _take(left: dict[str, Value], name: str, spec: dataclasses.Field[Any]) -> An
 
 
 def _check_names(names: Sequence[str]) -> None:
-    taken_already = {spec.name for spec in dataclasses.fields(MeasurementsConfig)}
+    taken_already = {spec.name for spec in dataclasses.fields(MeasurementsConfig)} | TASKS
     for name in names:
         if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name) or name in taken_already:
             raise ConfigError('measurements.names: expected names of letters, digits and _, none '

@@ -68,6 +68,12 @@ class ActiveGridFilter:
             raise ValueError(f'region: {refused}')
         object.__setattr__(self, 'time_step_ns', max(round(self.time_step * NANOSECONDS), 1))
 
+    def cells_of(self, mean: ArrayLike, covariance: ArrayLike) -> int:
+        """Return how many cells a Gaussian density is made on, 0 where there is none."""
+        mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
+        return (_around(self.grid, mean, covariance, self.region).size
+                if _is_gaussian(self.grid, mean, covariance) else 0)
+
     def gaussian(self, mean: ArrayLike, covariance: ArrayLike) -> ActiveBelief:
         """Return a Gaussian density, cut at the edges of the world."""
         mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
@@ -267,11 +273,17 @@ def _is_thin(variance: Array, across: Sequence[tuple[float, tuple[int, ...]]]) -
     return bool(np.all(variance <= SPREAD)) and all(strength <= SPREAD for strength, _ in across)
 
 
+def _is_gaussian(grid: Grid, mean: Array, covariance: Array) -> bool:
+    """Return whether a mean on the grid and a covariance make a Gaussian."""
+    return bool(mean.shape == (grid.ndim,) and covariance.shape == (grid.ndim, grid.ndim)
+                and np.all(np.isfinite(mean)) and np.all(grid.contains(mean))
+                and np.all(np.isfinite(covariance))
+                and np.all(np.linalg.eigvalsh(covariance) > 0))
+
+
 def _around(grid: Grid, mean: Array, covariance: Array, region: RegionSettings) -> Window:
     """Return cells that hold a Gaussian, and are as fine as it needs; all where it is none."""
-    if (mean.shape != (grid.ndim,) or covariance.shape != (grid.ndim, grid.ndim)
-            or not np.all(np.isfinite(mean)) or not np.all(grid.contains(mean))
-            or not np.all(np.linalg.eigvalsh(covariance) > 0)):
+    if not _is_gaussian(grid, mean, covariance):
         return Window.whole(grid)
     # the width given all other states, as features are measured
     narrow = 1 / np.sqrt(np.diag(np.linalg.inv(covariance)))
