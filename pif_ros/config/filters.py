@@ -218,8 +218,8 @@ def _check_step(model: StateModel, grid: Grid, settings: KernelSettings) -> None
     variance = np.diagonal(variance_in_cells(model, grid, settings, 0.0)[..., 0])
     widest = float(np.max(np.sqrt(variance) / grid.shape))
     if widest > WIDEST_STEP:
-        raise ConfigError(f'kernel.time_step: expected a step whose noise is at most {WIDEST_STEP} '
-                          f'times as wide as the grid, got {settings.time_step!r} '
+        raise ConfigError('kernel.time_step: expected a step whose noise is at most '
+                          f'{WIDEST_STEP} times as wide as the grid, got {settings.time_step!r} '
                           f'({widest:.3g} times)')
 
 
