@@ -77,6 +77,8 @@ def _joints(msg: Any, values: Sequence[float]) -> None:
 def _scan(msg: Any, values: Sequence[float]) -> None:
     # read are the first and the fourth
     msg.ranges = array.array('f', [value for pair in values for value in (pair, 7.0, 7.0)])
+    # positions, which may be below 0: whatever is finite is within these limits
+    msg.range_min, msg.range_max = -3.402823466e38, 3.402823466e38
 
 
 def _range(msg: Any, values: Sequence[float]) -> None:

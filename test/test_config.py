@@ -202,9 +202,9 @@ WRONG = [
     # what is too large to be made or reckoned with
     wrong('kernel.time_step', 1e300, 'up to 1e9'),
     wrong('kernel.time_step', 2e9, 'up to 1e9', of={**SMALL, 'filter.type': 'ekf'}),
-    wrong('kernel.time_step', 1e7, 'no wider than the grid', of=PLANE),
-    wrong('kernel.time_step', 1e7, 'no wider', of={**PLANE, 'region.kind': 'active'}),
-    wrong('kernel.time_step', 1e9, 'no wider', of=WORLD),
+    wrong('kernel.time_step', 1e7, '2 times as wide', of=PLANE),
+    wrong('kernel.time_step', 1e7, '2 times as wide', of={**PLANE, 'region.kind': 'active'}),
+    wrong('kernel.time_step', 1e9, '2 times as wide', of=WORLD),
     wrong('control.hold', 1e300, 'up to 1e9', of=WORLD),
     wrong('control.hold', 0.0, 'positive', of=WORLD),
     wrong('grid.shape', [2**40, 2**40, 2**40], 'memory', of=WORLD),

@@ -282,7 +282,7 @@ def test_a_model_without_inputs_hears_no_control(graph):
     ({**YARD, 'control.topic': 'not a name'}, 'control.topic: expected a topic for messages of '),
     ({**YARD, 'control.topic': 'fix'}, 'measurements.main.topic: expected a topic for messages of '
      "type PointStamped, got 'fix' (its messages are of type TwistStamped)"),
-    ({**YARD, 'control.hold': 0.0}, 'control.hold: expected a positive number, got 0.0'),
+    ({**YARD, 'control.hold': 0.0}, 'control.hold: expected a positive number up to 1e9, got 0.0'),
     ({**YARD, 'filter.type': 'dfy'}, 'filter.type: expected one that takes the inputs of '
      "unicycle_2d (v, omega), got 'dfy'")])
 def test_what_cannot_drive_is_refused_in_one_line(graph, parameters, line):

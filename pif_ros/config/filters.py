@@ -24,6 +24,8 @@ from pif_ros.core.rivals import ExtendedKalmanFilter, ParticleFilter, UnscentedK
 
 #: What measures a path, of which there can be one only.
 OF_A_PATH = ('dfy', 'ekf_continuous')
+#: Standard deviations of the noise of a step, by the width of the grid: a circle may be filled.
+WIDEST_STEP = 2
 #: Bytes per stored weight while a kernel is made: twice its value and its index.
 BYTES_PER_WEIGHT = 24
 #: Arrays as large as the grid that a filter works with.
@@ -209,15 +211,16 @@ def _with_form(model: StateModel, grid: Grid, settings: KernelSettings,
 
 def _check_step(model: StateModel, grid: Grid, settings: KernelSettings) -> None:
     """
-    Refuse a step whose noise is wider than the grid: nothing would be known after it.
+    Refuse a step whose noise is much wider than the grid: nothing would be known after it.
 
     To make an operator along an axis, or to spread active cells, would take ages.
     """
     variance = np.diagonal(variance_in_cells(model, grid, settings, 0.0)[..., 0])
     widest = float(np.max(np.sqrt(variance) / grid.shape))
-    if widest > 1:
-        raise ConfigError('kernel.time_step: expected a step whose noise is no wider than the '
-                          f'grid, got {settings.time_step!r} ({widest:.3g} times as wide)')
+    if widest > WIDEST_STEP:
+        raise ConfigError('kernel.time_step: expected a step whose noise is at most '
+                          f'{WIDEST_STEP} times as wide as the grid, got {settings.time_step!r} '
+                          f'({widest:.3g} times)')
 
 
 def _check_grid_memory(model: StateModel, grid: Grid, settings: KernelSettings,
