@@ -276,6 +276,7 @@ class FilterNode(ManagedNode):
         if not belief.mass > 0:
             text = 'all of the belief has left the grid: back to the prior'
             self.report('off the grid', text)
+            self.inbox.account()
             self._restart(None, None, text, self.tracker.stamp_ns)
             return
         self._published_ns = stamp_ns
