@@ -17,6 +17,8 @@ import numpy as np
 #: By the name of a message, its field of distances, and those of the least and the most of them.
 DISTANCES = {'Range': ('range', 'min_range', 'max_range'),
              'LaserScan': ('ranges', 'range_min', 'range_max')}
+#: Kinds of numbers that need not be whole, or finite.
+REAL = ('double', 'float')
 #: What numbers of a kind lie between, as messages check it.
 FLOAT_MAX = 3.402823466e38
 LIMITS: dict[str, tuple[float, float]] = {
@@ -200,7 +202,7 @@ def field_writer(message: Any, paths: Sequence[str],
 
     What a field_reader with the same paths reads of it then.  An array of any length holds what
     the other paths leave.  Raises ValueError for paths that cannot hold just so many numbers; the
-    writer raises it for a number that is too large for its field.
+    writer raises it for a number that its field cannot hold.
     """
     places = [(path, *_found(message, path)) for path in paths or ('data',)]
     counts = [_room(message(), steps) for _, steps, _ in places]
@@ -235,10 +237,11 @@ def _room(msg: Any, steps: Sequence[str | int]) -> int | None:
 
 
 def _check_limits(path: str, kind: str, values: Sequence[float]) -> None:
-    """Refuse numbers that a field of a kind cannot hold, also once they are rounded."""
-    low, high = LIMITS[kind]
+    """Refuse numbers that a field of a kind cannot hold, whole ones once they are rounded."""
+    (low, high), is_real = LIMITS[kind], kind in REAL
     for value in values:
-        if not (low - 0.5 <= value <= high + 0.5 and low <= round(value) <= high):
+        if not (is_real if not math.isfinite(value) else
+                low <= (value if is_real else round(value)) <= high):
             raise ValueError(f'expected numbers from {low:.12g} to {high:.12g} for {path!r} '
                              f'({kind}), got {float(value)!r}')
 

@@ -156,11 +156,14 @@ class FilterNode(ManagedNode):
             belief = self.tracker.newest.belief
             if isinstance(belief, PathBelief):
                 belief = belief.moved(clock.by_ns)
+            self.accounts.restart()
             self._begin_anew(clock.text)
+            # what was just worked in is still to be told
+            self._wake.trigger()
             self.inbox.set_clock(clock.by_ns, belief)
         else:
             self._restart(None, None, clock.text)
-        self.accounts.restart()
+            self.accounts.restart()
 
     def _on_parameters(self, changes: list[Parameter]) -> SetParametersResult:
         try:

@@ -50,7 +50,8 @@ class Inbox:
         self._verdicts = Verdicts(accounts.sources)
         self._burst_since: float | None = None
         self._arrivals = self._arrivals_seen = 0
-        self._news = False
+        # whether a measurement was taken, and whether any was used, since the last news
+        self._news = self._made = False
         self._in_turn = 1
 
     @property
@@ -93,8 +94,7 @@ class Inbox:
         if not self._tracker.backlog:
             self.behind_since = None
             # after one that failed, what the others before it have told
-            news, self._news = self._news, False
-            return self._tracker.newest if news else None
+            return self._tracker.newest if self._is_news() else None
         began, left = time.monotonic(), self._tracker.backlog
         try:
             estimate = self._corrected(min(self.slice, self._in_turn))
@@ -105,8 +105,12 @@ class Inbox:
             self.behind_since = (self.behind_since or time.monotonic()) if self.has_work else None
         if self.has_work:
             return None
-        news, self._news = self._news, False
-        return estimate if news else None
+        return estimate if self._is_news() else None
+
+    def _is_news(self) -> bool:
+        """Return whether a measurement was taken, and used, since this was asked last."""
+        is_news, self._news, self._made = self._news and self._made, False, False
+        return is_news
 
     def settle(self) -> list[CorrectionFailed]:
         """Work in all that waits, however long that takes, and return what could not be."""
@@ -129,6 +133,7 @@ class Inbox:
             self._unjudged.discard(failed.measurement)
             raise
         finally:
+            self._made |= bool(self._tracker.corrections)
             self._judge()
 
     def drain(self) -> None:
@@ -165,18 +170,17 @@ class Inbox:
         """
         self.account()
         self._forget()
-        self._news = False
+        self._news = self._made = False
         self._tracker.reset(belief, stamp_ns, steered_ns)
 
     def set_clock(self, by_ns: int, belief: Any) -> None:
         """Go on from the newest belief as it is by a clock that is so much ahead."""
         self._forget()
-        self._news = False
         self._tracker.set_clock(by_ns, belief)
 
     def remind(self) -> None:
         """Let the next work() tell what is believed."""
-        self._news = True
+        self._news = self._made = True
 
     def recall(self, memory: Memory[Any]) -> None:
         """Account for what waits, forget it, and go on from what a tracker remembered."""

@@ -150,8 +150,9 @@ class Simulator(Node):
             raise ConfigError(f'{prefix}.type: {error}') from None
         try:
             write = fields.field_writer(message, config.fields, values.shape[1])
-            for extreme in (values.min(axis=0), values.max(axis=0)):
-                write(message(), extreme)
+            undefined = values[~np.isfinite(values).all(axis=1)]
+            for hard in (np.fmin.reduce(values), np.fmax.reduce(values), *undefined[:1]):
+                write(message(), hard)
         except ValueError as error:
             raise ConfigError(f'{prefix}.fields: {error}') from None
         if self.settings.speed == 0.0 and not fields.has_header(message):

@@ -67,11 +67,12 @@ class Inlet:
         and has sent once more.
         """
         newest, self._newest = self._newest, number
-        if newest is None or number is None or number == newest + 1:
+        if newest is None or number is None or number == newest + 1 and not self._is_mixed:
             return 0
-        was_mixed, self._is_mixed = self._is_mixed, publishers() > 1
-        # a smaller number is that of a new publisher
-        return 0 if was_mixed or self._is_mixed else max(number - newest - 1, 0)
+        was_mixed = self._is_mixed
+        # a smaller number is that of another publisher, who may have left before it was heard
+        self._is_mixed = number <= newest or publishers() > 1
+        return 0 if was_mixed or self._is_mixed else number - newest - 1
 
     def read(self, msg: Any, now_ns: int | None,
              arrived_ns: int | None = None) -> tuple[int, tuple[float, ...]]:

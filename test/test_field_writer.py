@@ -33,7 +33,8 @@ def test_what_is_written_is_read_again(name, fields, values):
     ('std_msgs/msg/UInt64', [], (1e19, 0.0), (1.9e19, -1.0)),
     ('std_msgs/msg/Int64', ['data'], (-2.0**63, 9e18), (2.0**63, -1e19)),
     ('sensor_msgs/msg/LaserScan', ['ranges[2]'], (3.4e38, -3.4e38), (3.5e38, -3.5e38)),
-    ('sensor_msgs/msg/Range', ['range'], (0.1, 3.4e38), (1e39,))])
+    ('std_msgs/msg/Float64', [], (1e308, float('nan'), float('inf')), ()),
+    ('sensor_msgs/msg/Range', ['range'], (0.1, 3.4e38, float('-inf'), float('nan')), (1e39,))])
 def test_a_number_that_its_field_cannot_hold_is_refused_by_the_name_of_the_field(
         name, fields, good, bad):
     kind = message_class(name)

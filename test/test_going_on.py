@@ -142,7 +142,35 @@ def test_what_the_user_switched_off_is_no_sign_that_something_is_wrong(graph):
     # two of them alternate, and one leaves: what it left behind is no gap
     ([(1, 1), (2, 1), (40, 2), (3, 2), (41, 2), (4, 2), (42, 1), (43, 1), (46, 1)], 2),
     ([(1, 1), (40, 2), (2, 2), (41, 2), (3, 1), (4, 1), (9, 1)], 4),
-    ([(100, 2), (5, 2), (6, 1), (7, 1), (101, 1)], 0)])
+    ([(100, 2), (5, 2), (6, 1), (7, 1), (101, 1)], 93),
+    ([(1, 1), (40, 2), (2, 2), (3, 2), (4, 1), (9, 1)], 4),
+    # one that was there for a moment, and had left before it was heard
+    ([(100, 1), (1, 1), (101, 1), (103, 1)], 1)])
 def test_gaps_are_counted_where_one_publisher_is_heard(heard, lost):
     inlet = source('std_msgs/msg/Float64MultiArray')
     assert sum(inlet.lost(number, lambda n=n: n) for number, n in heard) == lost
+
+
+def test_what_cannot_be_used_tells_no_pose_anew(graph, monkeypatch):
+    rig = Rig(graph, {**PLANE, 'publish.rate': 0.0})
+    put(rig.node, T, HERE)
+    rig.node._wake.trigger()
+    rig.pose_at(T)
+    for k in range(1, 4):
+        with monkeypatch.context() as broken:
+            failing(broken, T + k * MS)
+            put(rig.node, T + k * MS, HERE)
+            work(rig.node)
+            rig.node._work()
+    assert rig.node.faults == 3 and not rig.node.inbox.wants_a_turn
+    put(rig.node, T + 9 * MS, HERE)
+    work(rig.node)
+    rig.pose_at(T + 9 * MS)
+    assert len(rig.poses) == 2
+
+
+def test_what_waits_when_the_clock_is_set_is_told_by_the_new_clock(graph):
+    rig = Rig(graph, {**PLANE, 'publish.rate': 0.0})
+    put(rig.node, T, HERE)
+    rig.node._on_clock_set(ClockSet(3600 * SECOND, 'the system clock was set', True))
+    assert nanoseconds(rig.pose_at(T + SECOND).header.stamp) == T + 3600 * SECOND

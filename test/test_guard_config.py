@@ -74,3 +74,16 @@ def test_a_target_of_many_is_watched_only_where_it_is_to_recover():
     plain = many.tracker('one', Config.from_parameters(SMALL))
     careful = many.tracker('two', Config.from_parameters({**SMALL, 'recovery.when_lost': True}))
     assert plain.guard.alarm is None and careful.guard.alarm is not None
+
+
+@pytest.mark.parametrize('name, value', [
+    ('sensor', 'nope'), ('params.nope', 1.0), ('params.sigma', -1.0)])
+@pytest.mark.parametrize('known', [0, 1])
+def test_a_target_whose_sensor_cannot_be_made_is_refused_by_the_name_of_the_parameter(
+        known, name, value):
+    many = FilterOfMany()
+    for k in range(known):
+        many.tracker(f'/{k}', Config.from_parameters(SMALL))
+    parameter = f'measurements.main.{name}'
+    with pytest.raises(ConfigError, match=f'^{parameter}: expected .*, got '):
+        many.tracker('/new', Config.from_parameters({**SMALL, parameter: value}))

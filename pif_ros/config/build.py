@@ -90,7 +90,9 @@ def plain(config: Config) -> Config:
     model, system = config.model, find_system(config)
     first, sources = next(iter(system.sensors)), {}
     for name, source in config.measurements.sources.items():
-        params = _told(system.sensors[source.sensor or first], source.params)
+        maker = system.sensors.get(source.sensor or first)
+        # one that is not known is refused where sensors are made
+        params = _told(maker, source.params) if maker else source.params
         sources[name] = dataclasses.replace(
             source, params=params, sensor='' if source.sensor == first else source.sensor)
     return dataclasses.replace(
@@ -104,7 +106,7 @@ def _told(maker: Callable[..., Any], params: Mapping[str, Any]) -> dict[str, Any
     """Return the constants that are not a maker's defaults."""
     defaults = inspect.signature(maker).parameters
     return {name: value for name, value in params.items()
-            if not np.array_equal(value, defaults[name].default)}
+            if name not in defaults or not np.array_equal(value, defaults[name].default)}
 
 
 def _maker(name: str) -> Callable[..., System]:

@@ -30,6 +30,8 @@ REACH = 8.0
 #: Clusters are so many standard deviations apart; where the span has more tiles of that size than
 #: the second, further.
 APART, MOST_TILES = 24.0, 1 << 16
+#: With how many axes tiles are looked at.
+MOST_AXES = 4
 #: What stands for more points in a sample, how many are drawn, and how widely, in deviations.
 CROWD, DRAWN, SCALES = 512, 1536, (1.0, 2.0, 4.0)
 
@@ -44,11 +46,11 @@ def tail(weights: Array, v: Array, turn: float = 0.0) -> float:
     fineness = FINENESS.get(len(v))
     if fineness is None or math.isinf(turn):
         return _sampled_tail(weights, v)
-    # on a wider circle nothing is seen from the other side
     if 0 < turn * fineness <= LARGEST_LATTICE:
         return _lattice_tail([_circle(weights, v, turn, fineness)])
+    v = _unrolled(v, turn) if turn else v
     if _cells(v, 1 / fineness) <= LARGEST_LATTICE:
-        return _lattice_tail([_lattice(weights, v, 1 / fineness)])
+        return _lattice_tail([_lattice(weights, v, np.full(len(v), 1 / fineness))])
     return _lattice_tail(list(_lattices(weights, v, 1 / fineness)))
 
 
@@ -94,15 +96,34 @@ def _lattices(weights: Array, v: Array, width: float) -> Iterator[_Lattice]:
         cells = _cells(v[:, part], width)
         if cells <= room:
             room -= cells
-            yield _lattice(weights[part], v[:, part], width)
+            yield _lattice(weights[part], v[:, part], np.full(len(v), width))
         else:
             left.append(part)
     if left:
         rest = np.concatenate(left)
-        extent = np.ptp(v[:, rest], axis=1) + 2 * REACH
-        # by logs, since their product may be no number any more
-        coarse = np.exp((np.log(extent).sum() - np.log(LARGEST_LATTICE)) / len(v))
-        yield _lattice(weights[rest], v[:, rest], max(float(coarse), width))
+        yield _lattice(weights[rest], v[:, rest], _coarse(v[:, rest], width))
+
+
+def _coarse(v: Array, width: float) -> Array:
+    """Return widths, (m,), of which no more cells than the largest lattice's span some points."""
+    extent = np.ptp(v, axis=1) + 2 * REACH
+    count, left = extent / width, float(LARGEST_LATTICE)
+    for done, axis in enumerate(np.argsort(count)):
+        # a narrow axis keeps its cells
+        count[axis] = min(count[axis], left**(1 / (len(v) - done)))
+        left /= count[axis]
+    return np.asarray(extent / count)
+
+
+def _unrolled(v: Array, turn: float) -> Array:
+    """Return points on a circle (1, N) on a line, on which no neighbours are a turn apart."""
+    x = np.sort(v[0])
+    gaps = np.diff(x, append=x[0] + turn)
+    widest = int(np.argmax(gaps))
+    if gaps[widest] < 2 * REACH:
+        return v
+    cut = x[widest] + gaps[widest] / 2
+    return np.where(v > cut, v - turn, v) if cut > 0 else np.where(v < cut, v + turn, v)
 
 
 def _clusters(v: Array) -> Integers:
@@ -123,15 +144,15 @@ def _cells(v: Array, width: float) -> float:
     return float(np.prod((np.ptp(v, axis=1) + 2 * REACH) / width))
 
 
-def _lattice(weights: Array, v: Array, width: float) -> _Lattice:
+def _lattice(weights: Array, v: Array, width: Array) -> _Lattice:
     """Return the lattice of some points and what is around them."""
     # from their own lowest corner, since they may be so far out that no digits are left for a cell
     low, room = v.min(axis=1), np.ceil(REACH / width)
     first = np.floor(low / width)
     start = low / width - first + room
-    places = (v - low[:, None]) / width + start[:, None]
+    places = (v - low[:, None]) / width[:, None] + start[:, None]
     count = np.ceil(places.max(axis=1) + room).astype(np.intp) + 2
-    return _blurred(weights, places, np.full(len(v), width), room - first, count, 'constant')
+    return _blurred(weights, places, width, room - first, count, 'constant')
 
 
 def _circle(weights: Array, v: Array, turn: float, fineness: float) -> _Lattice:
@@ -188,7 +209,8 @@ def _sampled_tail(weights: Array, v: Array) -> float:
 
 def _spread_within_clusters(weights: Array, v: Array) -> Array:
     """Return the covariance of points about the means of their clusters, (m, m)."""
-    cluster = _clusters(v)
+    # in many dimensions there are more tiles than points
+    cluster = _clusters(v) if len(v) <= MOST_AXES else np.zeros(v.shape[1], dtype=np.intp)
     mass = np.maximum(np.bincount(cluster, weights), 1e-300)
     centre = np.stack([np.bincount(cluster, weights * row) / mass for row in v])
     d = v - centre[:, cluster]

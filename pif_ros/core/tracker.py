@@ -79,12 +79,14 @@ class Tracker(Generic[Belief]):
         What drives it, and what is known of how the measurements fitted, goes along; what came
         before has an older clock's stamps and is forgotten.
         """
-        self.look()
-        newest, steered = self.newest, self._steered
-        self.reset(belief)
-        if newest.stamp_ns is not None:
-            self._anchor = replace(newest, stamp_ns=newest.stamp_ns + by_ns, belief=belief)
-        self._steered = [(stamp_ns + by_ns, value) for stamp_ns, value in steered]
+        try:
+            self.look()
+        finally:
+            newest, steered = self.newest, self._steered
+            self.reset(belief)
+            if newest.stamp_ns is not None:
+                self._anchor = replace(newest, stamp_ns=newest.stamp_ns + by_ns, belief=belief)
+            self._steered = [(stamp_ns + by_ns, value) for stamp_ns, value in steered]
 
     def memory(self) -> Memory[Belief]:
         """Return what decides the future, at the cost of a list: no belief is copied."""
@@ -216,7 +218,12 @@ class Tracker(Generic[Belief]):
         return newest
 
     def look(self) -> None:
-        """Bring the watch up to the newest correction: what that costs delays no estimate."""
+        """
+        Bring the watch up to the newest correction: what that costs delays no estimate.
+
+        Where a sensor raises, the watch before it goes on, and it is raised again in the end.
+        """
+        failed: Exception | None = None
         while self._unwatched:
             place = len(self._posteriors) - len(self._unwatched)
             predicted, measurement = self._unwatched.pop(0)
@@ -224,9 +231,11 @@ class Tracker(Generic[Belief]):
             try:
                 watch = self.guard.watched(self.filter, predicted, measurement.values,
                                            measurement.source, measurement.stamp_ns, watch)
-            finally:
-                # where a sensor raises, the watch before it goes on
-                self._posteriors[place] = replace(self._posteriors[place], watch=watch)
+            except Exception as error:  # noqa: B902  models and sensors are others' code
+                failed = failed or error
+            self._posteriors[place] = replace(self._posteriors[place], watch=watch)
+        if failed is not None:
+            raise failed
 
     def forecast(self, stamp_ns: int) -> Estimate[Belief]:
         """Return what is believed of a later moment; commits to nothing."""

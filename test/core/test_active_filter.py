@@ -364,3 +364,28 @@ def test_what_is_left_of_a_belief_at_the_edge_of_the_world_stays_to_the_last_pla
     belief = filter_.predict(ActiveBelief(world, (Patch(Window.whole(world), p),)), 0, SECOND)
     assert belief.mass == pytest.approx(1 / 4, rel=1e-6)
     assert belief.mean() == pytest.approx([19.5, 10.0])
+
+
+@pytest.mark.usefixtures('way')
+def test_what_turns_more_than_once_in_a_step_is_where_it_turns_to():
+    # a phase with its rate, of which few cells of the box around them are held
+    model = StateModel(('phase', 'rate', 'z'), lambda x, t: np.stack([x[1], 0 * x[1], 0 * x[1]]),
+                       np.eye(3), 1e-4 * np.eye(3))
+    world = Grid((0.0, 15.0, -4.0), (2 * np.pi, 25.0, 4.0), (64, 200, 80), (True, False, False))
+    filter_ = ActiveGridFilter(model, world, {}, 1.0)
+    belief = filter_.predict(filter_.gaussian([1.0, 20.0, 0.0], 0.01 * np.eye(3)), 0, 3 * SECOND)
+    assert belief.mean() == pytest.approx([61 % (2 * np.pi), 20.0, 0.0], abs=0.005)
+    # the rate's deviation for three seconds, the phase's own, and the noise of both
+    exact = np.sqrt(0.01 * 9 + 0.01 + 1e-4 * (3 + 27 / 3))
+    assert np.sqrt(belief.covariance()[0, 0]) == pytest.approx(exact, rel=0.02)
+
+
+@pytest.mark.parametrize('heading', [-3.14159, -3.1, -2.9, -0.1, 3.1])
+def test_a_prior_may_lie_anywhere_on_a_circle(heading):
+    world = Grid((-5, -5, -np.pi), (5, 5, np.pi), (40, 40, 24), (False, False, True))
+    filter_ = ActiveGridFilter(unicycle_2d().model, world, {}, 0.1)
+    belief = filter_.gaussian([1.0, -2.0, heading], 0.01 * np.eye(3))
+    off = belief.mean() - [1.0, -2.0, heading]
+    off[2] = math.remainder(off[2], 2 * np.pi)
+    assert np.abs(off).max() < 1e-3
+    assert np.diag(belief.covariance()) == pytest.approx(0.01, rel=0.02)

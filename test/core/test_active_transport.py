@@ -183,3 +183,22 @@ def test_noise_that_reaches_several_times_round_a_circle_is_wrapped(variance):
     for j, w in itertools.product(range(16), enumerate(kernel)):
         expected[(j + w[0] - len(kernel) // 2) % 16] += w[1] * p[j]
     np.testing.assert_allclose(after.density, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize('variance', [0.3, 4.0, 90.0, 900.0])
+def test_noise_of_any_width_goes_round_two_circles(variance):
+    rng = np.random.default_rng(8)
+    torus = Grid((0.0, 0.0), (9.0, 12.0), (9, 12), (True, True))
+    for shape, offset in (((9, 12), (0, 0)), ((3, 12), (7, 0)), ((8, 2), (4, 11)),
+                          ((2, 3), (8, 10))):
+        patch = Patch(Window(torus, (0, 0), offset, shape), rng.random(shape))
+        kernel, exact = noise_kernel(variance), np.zeros((9, 12))
+        reach = len(kernel) // 2
+        for i, j in np.ndindex(shape):
+            row, column = np.zeros(9), np.zeros(12)
+            for k, w in enumerate(kernel):
+                row[(offset[0] + i + k - reach) % 9] += w
+                column[(offset[1] + j + k - reach) % 12] += w
+            exact += patch.density[i, j] * np.outer(row, column)
+        found = ActiveBelief(torus, (heated(patch, np.full(2, variance)),)).on(torus, (0, 1))
+        np.testing.assert_allclose(found.density, exact, atol=1e-12)

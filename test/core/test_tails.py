@@ -65,3 +65,35 @@ def test_a_narrow_angle_takes_no_more_memory_than_a_wide_one(sigma):
     tracemalloc.stop()
     assert found == pytest.approx(of_two_far_apart(1, 3.0, 0.5), rel=0.1)
     assert peak < 20e6
+
+
+@pytest.mark.parametrize('m', [5, 10, 20, 40])
+def test_a_crowd_of_many_numbers_has_a_tail_at_once(m):
+    v = np.random.default_rng(3).normal(size=(m, 1000)) * 50
+    assert 0.5 < tail(np.full(1000, 1e-3), v - v[:, :1]) <= 1
+
+
+@pytest.mark.parametrize('far', [0.0, 40.0])
+def test_a_cluster_on_the_seam_of_a_narrow_angle_is_one(far):
+    turn, line = 2 * np.pi / 5e-4, np.linspace(-3, 3, 101)
+    share = stats.norm.pdf(line)
+    weights = np.concatenate([share, 9 * share]) / (10 * share.sum())
+    place = np.concatenate([line + 2, line + turn / 2 - far])
+    found = tail(weights, (place[None] + turn / 2) % turn - turn / 2, turn)
+    # both humps are Gaussians of variance 1 + that of the points, cut at three of its deviations
+    width = np.sqrt(1 + (share @ line**2) / share.sum())
+    level = np.log(0.1) - (2 / width)**2 / 2
+    exact = (0.1 * stats.chi2.sf((2 / width)**2, 1)
+             + 0.9 * stats.chi2.sf(2 * (np.log(0.9) - level), 1))
+    assert found == pytest.approx(exact, rel=0.05)
+
+
+@pytest.mark.parametrize('span', [1e6, 1e9, 1e15])
+def test_a_wide_span_of_one_number_takes_no_more_memory(span):
+    rng = np.random.default_rng(5)
+    v = np.stack([span * rng.random(1000), rng.normal(size=1000)])
+    tracemalloc.start()
+    found = tail(np.full(1000, 1e-3), v - v[:, :1])
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert 0 < found <= 1 and peak < 50e6

@@ -7,7 +7,9 @@ from pif_ros.core.belief import GridBelief
 from pif_ros.core.estimates import CorrectionFailed, Measurement, Rejection
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
+from pif_ros.core.guard import Guard
 from pif_ros.core.kernels import KernelSettings
+from pif_ros.core.lost import Alarm
 from pif_ros.core.models import Sensor
 from pif_ros.core.rivals import ExtendedKalmanFilter, GaussianBelief
 from pif_ros.core.systems import ornstein_uhlenbeck
@@ -310,3 +312,23 @@ def test_memory_bounds_what_is_kept_while_there_is_a_backlog_too():
     # what is beyond the memory was let go of as soon as it was worked in
     assert tracker.observe(Measurement(200_000_001, 'place', (0.0,))) is Rejection.TOO_LATE
     assert_same_bits(tracker.estimate(), verbs(measurements)[0])
+
+
+def test_a_clock_is_set_also_where_the_watch_over_the_newest_raises(monkeypatch):
+    guard = Guard(alarm=Alarm(1e-5))
+    tracker = tracker_of(guard=guard)
+    for k in range(3):
+        tracker.observe(Measurement(100 * SECOND + k, 'place', (0.1 * k,)))
+    belief = tracker.estimate(look=False).belief
+    watched = Guard.watched
+
+    def broken(self, filter_, predicted, y, *more):
+        if y == (0.1,):
+            raise ArithmeticError('such a sensor')
+        return watched(self, filter_, predicted, y, *more)
+
+    monkeypatch.setattr(Guard, 'watched', broken)
+    with pytest.raises(ArithmeticError, match='such a sensor'):
+        tracker.set_clock(-50 * SECOND, belief)
+    assert tracker.stamp_ns == 50 * SECOND + 2 and tracker.newest.belief is belief
+    assert tracker.observe(Measurement(51 * SECOND, 'place', (0.1,))) is None

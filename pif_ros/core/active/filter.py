@@ -78,6 +78,10 @@ class ActiveGridFilter:
         """Return a Gaussian density, cut at the edges of the world."""
         mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
         window = _around(self.grid, mean, covariance, self.region)
+        # a window may begin below the upper edge of a circle, and go on beyond it
+        low, turn = np.array(window.grid.lower), np.subtract(self.grid.upper, self.grid.lower)
+        if len(mean) == len(low):
+            mean = np.where(self.grid.periodic, low + (mean - low) % turn, mean)
         belief = GridBelief.gaussian(window.grid, mean, covariance)
         return fitted(ActiveBelief(self.grid, (Patch(window, belief.density),)), self.region)
 

@@ -18,8 +18,8 @@ Box = tuple[slice, ...]
 DEAD = 1e-12
 #: By how many cells a step widens a patch on each side, about: what a cut costs.
 HALO = 4
-#: Bits of a number behind the power of two that it begins with.
-DIGITS = 52
+#: Bits of a number behind the power of two that it begins with, and all of that.
+DIGITS, POWERS = 52, (1 << 11) - 1
 #: A box with fewer cells is not cut, nor one of which more than this share is kept and no plane
 #: is empty.
 SMALL, FILLED = 512, 0.2
@@ -123,7 +123,7 @@ def thick(window: Window, first: list[int], density: Array) -> Patch:
 def _kept(p: Array, negligible: float) -> Mask:
     """Return the cells without the emptiest, which hold a share of the mass at most."""
     # what stands in front of the digits: all cells between two powers of two have the same
-    power = np.ascontiguousarray(p).view(np.int64) >> DIGITS
+    power = (np.ascontiguousarray(p).view(np.int64) >> DIGITS) & POWERS
     mass = np.bincount(power.ravel(), p.ravel())
     lightest = int(np.searchsorted(np.cumsum(mass), negligible * mass.sum(), side='right'))
     kept: Mask = (power >= lightest) & (p > 0)

@@ -65,11 +65,24 @@ def heated(patch: Patch, variance: Array,
     for strength, direction in across:
         patch = _heated_along(patch, noise_kernel(strength), np.array(direction))
     kernels = [noise_kernel(float(v)) for v in variance]
-    p = patch.density
+    window, p, first = patch.window, patch.density, np.zeros(len(kernels), dtype=np.int64)
     for axis, kernel in enumerate(kernels):
         if len(kernel) > 1:
-            p = _convolved(p, kernel, axis)
-    return _placed(patch.window, -np.array([len(kernel) // 2 for kernel in kernels]), p)
+            cells = window.cells[axis] if window.base.periodic[axis] else None
+            p, first[axis] = _convolved(p, _folded(kernel, cells), axis), -(len(kernel) // 2)
+            if cells is not None and p.shape[axis] >= cells:
+                # what has come round a circle lies on what was there
+                patch = _placed(window, first, p)
+                window, p, first = patch.window, patch.density, 0 * first
+    return _placed(window, first, p)
+
+
+def _folded(kernel: Array, cells: int | None) -> Array:
+    """Return the weights of moves, an odd number, to which those a turn further on are added."""
+    if cells is None or len(kernel) <= cells + 1:
+        return kernel
+    once = np.pad(kernel, (0, -len(kernel) % cells)).reshape(-1, cells).sum(axis=0)
+    return np.pad(once, (0, 1 - cells % 2))
 
 
 def _convolved(p: Array, kernel: Array, axis: int) -> Array:
@@ -140,10 +153,10 @@ def deposited(patch: Patch, move: Array, spread: Array) -> Patch:
     w_0 = 1 - (v + d^2), w_(+-1) = (v + d^2 +- d) / 2.
     """
     window, p = patch.window, patch.density
-    move, p = _sound(window, move, p)
-    if not p.max() > 0:
-        return Patch(window, np.zeros(p.shape))
     least = NOTHING * float(p.max())
+    move, p = _sound(window, move, p, least)
+    if not p.max() > least:
+        return Patch(window, np.zeros(p.shape))
     if compiled.is_available():
         return _placed(window, *compiled.share(
             p, list(move), least, spread, window.base.periodic, window.cells, window.offset))
@@ -158,9 +171,11 @@ def deposited(patch: Patch, move: Array, spread: Array) -> Patch:
     return _placed(window, first, result.reshape(shape))
 
 
-def _sound(window: Window, move: Array, p: Array) -> tuple[Array, Array]:
+def _sound(window: Window, move: Array, p: Array, least: float) -> tuple[Array, Array]:
     """
     Return moves that are finite and no longer than the world, and what is moved by such.
+
+    least: what is worth carrying, and tells how far.
 
     What the drift does not tell, or carries further than that, is lost to the world anyway; round
     a circle it is as if all had gone some whole turns less.
@@ -170,8 +185,10 @@ def _sound(window: Window, move: Array, p: Array) -> tuple[Array, Array]:
         return move, p
     longest = longest.reshape(-1, *(1,) * p.ndim)
     move = move.copy()
+    alike = tuple(axis for axis in range(p.ndim) if move.shape[axis + 1] == 1)
+    held = (p > least).any(axis=alike, keepdims=True)
     for axis in np.flatnonzero(window.base.periodic):
-        finite, turn = move[axis][np.isfinite(move[axis])], window.cells[axis]
+        finite, turn = move[axis][held & np.isfinite(move[axis])], window.cells[axis]
         if len(finite):
             move[axis] -= turn * np.rint(np.median(finite) / turn)
     defined = np.broadcast_to(np.isfinite(move).all(axis=0), p.shape)
