@@ -80,7 +80,7 @@ class ActiveGridFilter:
         window = _around(self.grid, mean, covariance, self.region)
         # a window may begin below the upper edge of a circle, and go on beyond it
         low, turn = np.array(window.grid.lower), np.subtract(self.grid.upper, self.grid.lower)
-        if len(mean) == len(low):
+        if mean.shape == low.shape:
             mean = np.where(self.grid.periodic, low + (mean - low) % turn, mean)
         belief = GridBelief.gaussian(window.grid, mean, covariance)
         return fitted(ActiveBelief(self.grid, (Patch(window, belief.density),)), self.region)
