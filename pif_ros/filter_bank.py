@@ -178,12 +178,14 @@ class FilterBank(Node):
             target.drain()
         left = [target.tracker.backlog for target in busy]
         self._foresee((target.tracker, target.tracker.next_ns) for target in busy)
-        estimates = [(target, estimate) for target in busy
+        estimates = [(target, estimate, target.restarts) for target in busy
                      if (estimate := target.correct()) is not None]
-        self._foresee((target.tracker, target.lags(estimate)) for target, estimate in estimates)
-        for target, estimate in estimates:
-            target.tell(estimate)
-        for target, _ in estimates:
+        self._foresee((target.tracker, target.lags(estimate)) for target, estimate, _ in estimates)
+        for target, estimate, restarts in estimates:
+            # to ask for the time may have shown that the clock was set
+            if target.restarts == restarts:
+                target.tell(estimate)
+        for target, *_ in estimates:
             target.see_whether_lost()
         return [target for target, before in zip(busy, left)
                 if target.inbox.has_work and target.tracker.backlog < before]

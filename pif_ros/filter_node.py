@@ -65,6 +65,8 @@ class FilterNode(ManagedNode):
         self.accounts = Accounts(())
         self.watch = Stopwatch()
         self._why, self._lost = '', False
+        # whether there was something to tell while it was inactive
+        self._is_untold = False
         self._throttle = Throttle()
         self._next_forecast, self._took = 0.0, math.inf
         self._since_ns, self._published_ns = 0, -1
@@ -86,10 +88,9 @@ class FilterNode(ManagedNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen and publish; what was believed is believed still."""
         self._outputs.restart()
-        if self.tracker.newest.stamp_ns is not None \
-                and self.tracker.newest.stamp_ns > self._published_ns:
-            self.inbox.remind()
-            self._wake.trigger()
+        if self._is_untold:
+            self._is_untold = False
+            self._remind()
         return super().on_activate(state)
 
     # What comes in
@@ -158,8 +159,8 @@ class FilterNode(ManagedNode):
                 belief = belief.moved(clock.by_ns)
             self.accounts.restart()
             self._begin_anew(clock.text)
-            # what was just worked in is still to be told
-            self._wake.trigger()
+            # by the new clock nothing was told yet
+            self._remind()
             self.inbox.set_clock(clock.by_ns, belief)
         else:
             self._restart(None, None, clock.text)
@@ -248,12 +249,17 @@ class FilterNode(ManagedNode):
         self._begin_anew('state_file')
         self._published_ns = max(self._published_ns, published_ns)
         self.inbox.recall(memory)
-        self._wake.trigger()
+        self._remind()
 
     def _restart(self, belief: Any, stamp_ns: int | None, why: str,
                  steered_ns: int | None = None) -> None:
         self._begin_anew(why)
         self.inbox.restart(belief, stamp_ns, steered_ns)
+
+    def _remind(self) -> None:
+        """Let what is believed be told anew."""
+        self.inbox.remind()
+        self._wake.trigger()
 
     def _begin_anew(self, why: str) -> None:
         """Let go of what was told of another belief."""
@@ -268,6 +274,8 @@ class FilterNode(ManagedNode):
         """Publish an estimate, but never with an older stamp than the last."""
         restarts, now_ns = self.restarts, self._now()
         # to ask for the time may show that the clock was set, and begin anew
+        if not self.is_active:
+            self._is_untold = True
         if estimate.stamp_ns is None or not self.is_active or self.restarts != restarts:
             return
         stamp_ns = max(estimate.stamp_ns, self._published_ns)

@@ -187,8 +187,6 @@ class Inbox:
         self.restart(None, None)
         self._tracker.recall(memory)
         self._verdicts.disregard(memory.measurements)
-        # what is believed then is worth telling, once it is known again
-        self.remind()
 
     def account(self) -> None:
         """Put all that waits in the queue where it belongs."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import math
 from typing import Any
 
 from pif_ros import conversions, interface
@@ -12,6 +13,9 @@ from pif_ros.core.models import StateModel
 from pif_ros.mode_outputs import estimate, ModeOutputs
 from pif_ros.pace import Pace
 from rclpy.node import Node
+
+#: A density is made of so many cells at most: a world of active cells may have any number.
+MOST_CELLS = 10_000_000
 
 
 class Outputs:
@@ -32,6 +36,13 @@ class Outputs:
         if None in shown:
             raise ConfigError("density.axes: expected names of states, got ''")
         self._density_axes = [axis for axis in shown if axis is not None]
+        self._too_many = {out for out, axes in ((interface.DENSITY, self._density_axes),
+                                                (interface.DENSITY_MAP, self._plane))
+                          if math.prod(grid.shape[axis] for axis in axes) > MOST_CELLS}
+        for out in self._too_many:
+            node.get_logger().warning(
+                f'{out.name}: the grid has more than {MOST_CELLS} cells on its axes, which are '
+                'not published')
         # one for all, since to make it takes as long as to send it
         self._pose = interface.POSE.type()
         self._pose.header.frame_id = config.frame_id
@@ -80,7 +91,8 @@ class Outputs:
 
     def _is_heard(self, out: interface.Endpoint) -> bool:
         publisher = self._publishers.get(out)
-        return publisher is not None and publisher.get_subscription_count() > 0
+        return (publisher is not None and out not in self._too_many
+                and publisher.get_subscription_count() > 0)
 
 
 def _pose_axes(config: Config, model: StateModel) -> tuple[int | None, ...]:

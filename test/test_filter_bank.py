@@ -218,7 +218,7 @@ def test_poses_are_predicted_to_now_together_and_corrections_to_what_was_publish
     assert products == []
     # whether the timer fires at this tick or was called for an earlier one, each is told once
     tick(T + 1050 * MS)
-    bank._on_timer(1.0, list(bank.targets.values()))
+    bank._on_timer((1.0, False), list(bank.targets.values()))
     wait_for(T + 1050 * MS)
     assert products == [3] * 11
     products.clear()
@@ -353,6 +353,24 @@ def test_no_target_is_predicted_to_a_clock_that_was_set_before_it_has_seen_that(
     monkeypatch.setattr(timekeeper, 'steady_ns', lambda: steady() - 3 * SECOND)
     bank._on_timer((20.0, False), list(bank.targets.values()))
     assert [target.restarts for target in bank.targets.values()] == [1, 1]
+
+
+def test_no_target_tells_by_an_older_clock_what_it_found_before_it_was_set(
+        graph, make, monkeypatch):
+    bank = make({**PLANE, 'publish.rate': 20.0, 'diagnostics.rate': 0.0}, ['alpha'])
+    [target] = bank.targets.values()
+    now_ns = target.now()
+    measure(bank, 'alpha', now_ns - 200 * MS, 0.1, -0.2)
+    work(bank)
+    bank._on_timer((20.0, False), [target])
+    assert target._published_ns >= now_ns
+    measure(bank, 'alpha', now_ns - 180 * MS, 0.1, -0.2)
+    steady = timekeeper.steady_ns
+    # as if the system's clock had been set back by an hour
+    monkeypatch.setattr(timekeeper, 'steady_ns', lambda: steady() + 3600 * SECOND)
+    work(bank)
+    assert target.restarts == 1
+    assert target._published_ns <= target.tracker.stamp_ns < now_ns - 3599 * SECOND
 
 
 def test_after_a_gap_a_target_begins_from_the_prior_as_a_node_does(graph, make):

@@ -4,11 +4,13 @@ from dataclasses import replace
 import math
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
 from pif_ros.core.lost import Watch
 from pif_ros.timekeeper import ClockSet
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 from ros import nanoseconds, PLANE, Rig, SECOND, stamp_into
+from std_msgs.msg import Float64MultiArray
 from test_accounts_in_the_node import failing, HERE, put, steer, work
 from test_filter_node import fix, MS, T
 from test_sources import source
@@ -174,3 +176,29 @@ def test_what_waits_when_the_clock_is_set_is_told_by_the_new_clock(graph):
     put(rig.node, T, HERE)
     rig.node._on_clock_set(ClockSet(3600 * SECOND, 'the system clock was set', True))
     assert nanoseconds(rig.pose_at(T + SECOND).header.stamp) == T + 3600 * SECOND
+
+
+def test_what_was_found_while_it_slept_is_told_also_where_it_is_no_newer(graph):
+    rig = Rig(graph, DEACTIVATED)
+    put(rig.node, T, HERE)
+    rig.node._wake.trigger()
+    rig.pose_at(T)
+    assert rig.node.trigger_deactivate() is TransitionCallbackReturn.SUCCESS
+    put(rig.node, T - 10 * MS, HERE)
+    work(rig.node)
+    assert rig.node.trigger_activate() is TransitionCallbackReturn.SUCCESS
+    graph.until(lambda: len(rig.poses) == 2, 'what the late one changed')
+
+
+@pytest.mark.parametrize('topic, kind', [
+    ('density', Float64MultiArray), ('density_map', OccupancyGrid)])
+def test_of_a_vast_world_no_density_is_made(graph, topic, kind):
+    rig = Rig(graph, {**PLANE, 'region.kind': 'active', 'density.rate': 10.0,
+                      'grid.lower': [-5e4, -5e4], 'grid.upper': [5e4, 5e4],
+                      'grid.shape': [100_000, 100_000]})
+    heard = []
+    rig.hear(kind, f'/filter_node/{topic}', heard)
+    put(rig.node, T, HERE)
+    rig.node._wake.trigger()
+    rig.pose_at(T)
+    assert rig.node.faults == 0 and not heard

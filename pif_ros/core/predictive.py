@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pif_ros.core.likelihood import cell_widths, FINEST, RESOLVED, SIGNIFICANT
+from pif_ros.core.likelihood import cell_widths, RESOLVED, SIGNIFICANT
 from pif_ros.core.models import Sensor
 from pif_ros.core.tails import REACH, tail
 from scipy import special
@@ -22,8 +22,9 @@ Array = NDArray[np.float64]
 
 #: Points with less than this share of the heaviest one's weight are not looked at.
 NEGLIGIBLE = 1e-12
-#: Cells that are wider than a sensor resolves are cut into this many points in all at most.
-MOST_POINTS = 1 << 20
+#: Cells that are wider than a sensor resolves are cut into points so many standard deviations
+#: apart, a Gaussian sampled at which sums to 0.03 %, but into this many in all at most.
+APART, MOST_POINTS = 1.5, 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +142,7 @@ def _cut(w: Array, x: Array, spacing: Array, wide: NDArray[np.bool_],
          width: float) -> tuple[Array, Array]:
     """Return weights and points with those of wide cells spread evenly over these."""
     seen = np.flatnonzero(spacing.any(axis=1))
-    count = min(math.ceil(width) + 1, FINEST[len(seen)],
+    count = min(math.ceil(width / APART),
                 max(int((MOST_POINTS / wide.sum())**(1 / len(seen))), 1))
     steps = (np.arange(count) + 0.5) / count - 0.5
     inner = np.zeros((len(x), count**len(seen)))

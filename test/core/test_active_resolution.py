@@ -2,7 +2,7 @@
 
 import numpy as np
 from pif_ros.core.active.belief import ActiveBelief, Patch
-from pif_ros.core.active.focus import _inside
+from pif_ros.core.active.focus import _taken
 from pif_ros.core.active.resolution import halved, paired, widths
 from pif_ros.core.active.window import Window
 from pif_ros.core.grid import Grid
@@ -145,7 +145,7 @@ def test_next_to_all_of_a_circle_is_changed_as_any_part_of_it_is(change, count):
 def test_what_is_taken_out_of_a_circle_stays_where_it_was(count):
     circle = Grid((0.0,), (2 * np.pi,), (12,), (True,))
     whole = Patch(Window(circle, (1,), (0,), (24,)), np.random.default_rng(count).random(24))
-    part = _inside(whole, Window(circle, (1,), (17,), (count,)))
+    part = _taken(whole.window, whole.density.copy(), Window(circle, (1,), (17,), (count,)))
     taken = around(part) > 0
     assert taken.sum() == min(count + 4, 24)
     np.testing.assert_array_equal(around(part)[taken], whole.density[taken])

@@ -327,13 +327,13 @@ def test_the_world_s_edge_is_its_outermost_wide_cells_however_fine_those_are_cut
     assert fine.edge_mass() == pytest.approx(expected, abs=1e-12)
 
 
-def test_halves_that_reach_beyond_the_world_are_at_its_edge_not_at_the_other_end():
+def test_halves_at_the_edge_of_the_world_stay_there():
     near = np.array([-49.8, 0.0])
     d = YARD.points - near[:, None]
     p = np.exp(-0.5 * (d * d).sum(axis=0) / 0.4**2).reshape(YARD.shape)
     belief = fitted(ActiveBelief(YARD, (Patch(Window.whole(YARD), p),)),
                     RegionSettings(resolution=3)).normalised()
-    assert belief.patches[0].window.offset[0] < 0
+    assert belief.patches[0].window.level[0] > 0 and belief.patches[0].window.offset[0] == 0
     shown = belief.on(YARD, (0, 1))
     assert shown.mass == pytest.approx(1, abs=1e-12)
     assert not shown.density[10:].any()

@@ -3,7 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
-from pif_ros.core.active import ActiveGridFilter
+from pif_ros.core.active import ActiveBelief, ActiveGridFilter, Patch, Window
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
@@ -188,3 +188,23 @@ def test_all_filters_expect_the_same_where_the_belief_is_gaussian():
     # so far away a range is all but linear; 20,000 particles tell a tail of a tenth to a few %
     assert tails == pytest.approx([tails[0]] * 5, rel=0.06)
     assert 0.01 < tails[0] < 0.3
+
+
+@pytest.mark.parametrize('sigma', [0.3, 0.05, 0.02])
+@pytest.mark.parametrize('kind', ['active', 'full'])
+def test_of_what_is_drawn_the_tail_is_uniform_whatever_the_width_of_the_cells(kind, sigma):
+    world = Grid((-8, -8), (8, 8), (16, 16))
+    sensors = {'position': position_2d().sensors['position'](sigma=sigma)}
+    model, rng = position_2d().model, np.random.default_rng(11)
+    filter_ = (ActiveGridFilter(model, world, sensors, 0.1) if kind == 'active' else
+               DiracFeynmanFilter(model, world, sensors, KernelSettings(0.1)))
+    belief = GridBelief.gaussian(world, [0.3, -0.2], 2.0 * np.eye(2))
+    cells = rng.choice(world.size, 60, p=belief.density.ravel() * world.cell_volume)
+    # anywhere in a cell
+    x = world.points[:, cells] + rng.uniform(-0.5, 0.5, (2, 60))
+    given = belief if kind == 'full' else ActiveBelief(
+        world, (Patch(Window.whole(world), belief.density),))
+    one = filter_.predictive(given, 'position', 0)
+    tails = [one.tail(y) for y in (x + sigma * rng.standard_normal((2, 60))).T]
+    # the step of the density from cell to cell is not that of a smooth one
+    assert min(tails) > 1e-4 and stats.kstest(tails, 'uniform').statistic < 0.25

@@ -207,9 +207,6 @@ def _add(mass: Array, patch: Patch, axes: Sequence[int]) -> None:
     places = []
     for k, axis in enumerate(axes):
         cell = (window.offset[axis] + np.arange(window.shape[axis])) >> window.level[axis]
-        if not window.base.periodic[axis]:
-            # halves reach a little beyond the edge of the world
-            cell = np.clip(cell, 0, window.base.shape[axis] - 1)
         starts = np.flatnonzero(np.diff(cell, prepend=cell[0] - 1))
         part = np.add.reduceat(part, starts, axis=k)
         places.append(cell[starts] % patch.window.base.shape[axis])

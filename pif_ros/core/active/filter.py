@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 #: By what share of a cell neighbouring cells may part or meet in a step that has noise: half of it
 #: comes before and half after the drift, which is of second order in this.
 PARTED = 0.5
+#: Cells along an axis that correlated noise goes at once, at most.
+LONGEST = 32
 #: A product below this share of the largest likelihood may have lost digits to underflow.
 UNSAFE = 1e-200
 #: Within how many standard deviations a Gaussian prior is kept.
@@ -198,7 +200,7 @@ class ActiveGridFilter:
         variance = ((to_ns - from_ns) / NANOSECONDS
                     * self.model.diffusion((from_ns + to_ns) / 2 / NANOSECONDS))
         return lambda window: integer_directions(
-            variance / np.outer(window.spacing, window.spacing))
+            variance / np.outer(window.spacing, window.spacing), LONGEST)
 
     def _moves(self, from_ns: int, to_ns: int, controls: Controls, rate: float) -> Moves:
         """Return what tells how far the drift moves the cells of a window in a step."""
@@ -266,7 +268,7 @@ def unsuited(model: StateModel) -> str:
                 'function of it')
     g = model.diffusion(0.0)
     try:
-        integer_directions(g)
+        integer_directions(g, LONGEST)
     except ValueError as error:
         return f"expected 'full' for this {error}"
     return ''

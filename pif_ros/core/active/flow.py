@@ -13,8 +13,9 @@ Array = NDArray[np.float64]
 #: A Runge-Kutta step times the rate at which neighbours part: its error is about this, to the
 #: fifth power, over 120.
 SMOOTH = 0.25
-#: States at which that rate is looked at, at most, along each axis.
-LOOKS = 5
+#: States at which that rate is looked at, at most, and where: at irregular places, since a drift
+#: may be the same at regular ones.
+LOOKS, GOLDEN = 1000, (5**0.5 - 1) / 2
 #: States that are carried at a time, which stay in the cache.
 CHUNK = 1 << 13
 
@@ -50,15 +51,18 @@ def parting_rate(model: StateModel, window: Window, from_ns: int, to_ns: int,
 
     The largest sum over j of |df_i/dx_j| dx_j / dx_i, with dx the widths of a cell.
     """
-    some = [axis[np.unique(np.linspace(0, len(axis) - 1, LOOKS).astype(int))]
-            for axis in window.grid.axes]
-    x = np.stack(np.meshgrid(*some, indexing='ij')).reshape(len(some), -1)
+    size = window.size
+    places = (np.arange(size) if size <= LOOKS
+              else (size * (GOLDEN * np.arange(LOOKS) % 1)).astype(np.int64))
+    cells = np.unravel_index(places, window.shape)
+    x = np.stack([axis[place] for axis, place in zip(window.grid.axes, cells)])
     scale, rate = window.spacing, 0.0
-    for start_ns, _, u in controls.between(from_ns, to_ns):
+    for start_ns, end_ns, u in controls.between(from_ns, to_ns):
         driven = model.under(u).at_scale(window.base.spacing)
-        J = driven.jacobian(x, start_ns / NANOSECONDS)
-        sums = np.einsum('ijk,j->ik', np.abs(J), scale) / scale[:, None]
-        rate = max(rate, float(np.nan_to_num(sums, posinf=0.0).max()))
+        for t_ns in (start_ns, (start_ns + end_ns) / 2, end_ns)[:3 if model.time_dependent else 1]:
+            J = driven.jacobian(x, t_ns / NANOSECONDS)
+            sums = np.einsum('ijk,j->ik', np.abs(J), scale) / scale[:, None]
+            rate = max(rate, float(np.nan_to_num(sums, posinf=0.0).max()))
     return rate
 
 

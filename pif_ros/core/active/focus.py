@@ -10,11 +10,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pif_ros.core.active.belief import ActiveBelief, Patch
 from pif_ros.core.active.regions import regions
 from pif_ros.core.active.resolution import halved, paired, widths
 from pif_ros.core.active.settings import RegionSettings
 from pif_ros.core.active.window import Window
+
+Array = NDArray[np.float64]
 
 #: Features wider than this many times what is asked for are kept on cells twice as wide: more
 #: than 2, so that what was paired is not halved again at once.
@@ -62,12 +65,12 @@ def focused(prior: ActiveBelief, posterior: ActiveBelief,
 def _finer(before: Patch, after: Patch, settings: RegionSettings, room: int) -> list[Patch] | None:
     """Return the parts of a patch that its posterior needs, halved; None where none are narrow."""
     parts = regions(ActiveBelief(after.window.base, (after,)), settings.negligible).patches
-    result, changed = [], False
+    result, changed, left = [], False, before.density.copy()
     for part in parts:
         narrow = [axis for axis, width in enumerate(widths(part))
                   if width < TOLERATED * settings.resolution
                   and part.window.level[axis] < settings.finest]
-        inner = _inside(before, part.window)
+        inner = _taken(before.window, left, part.window)
         if inner.window.size << len(narrow) <= room:
             changed |= len(narrow) > 0
             for axis in narrow:
@@ -76,20 +79,25 @@ def _finer(before: Patch, after: Patch, settings: RegionSettings, room: int) -> 
     return result if changed else None
 
 
-def _inside(patch: Patch, window: Window) -> Patch:
-    """Return what of a patch lies in a window of its level, and two cells around it."""
+def _taken(outer: Window, left: Array, window: Window) -> Patch:
+    """
+    Return what is left of a density in a window of its level, and two cells around it.
+
+    It is taken out, since neighbours are to have each cell once.
+    """
     places, first = [], []
-    for axis, circle in enumerate(patch.window.circles):
-        start, count = window.offset[axis] - patch.window.offset[axis], window.shape[axis]
+    for axis, circle in enumerate(outer.circles):
+        start, count = window.offset[axis] - outer.offset[axis], window.shape[axis]
         if window.base.periodic[axis]:
             start %= window.cells[axis]
         cells = np.arange(start - 2, start + count + 2)
         if circle:
             cells = cells[:window.cells[axis]] % window.cells[axis]
         else:
-            cells = cells[(cells >= 0) & (cells < patch.window.shape[axis])]
+            cells = cells[(cells >= 0) & (cells < outer.shape[axis])]
             start = int(cells[0]) + 2
         places.append(cells)
-        first.append(patch.window.offset[axis] + start - 2)
-    density = patch.density[np.ix_(*places)]
+        first.append(outer.offset[axis] + start - 2)
+    density = left[np.ix_(*places)]
+    left[np.ix_(*places)] = 0.0
     return Patch.at(window.base, window.level, first, density)

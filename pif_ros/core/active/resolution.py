@@ -40,7 +40,7 @@ def halved(patch: Patch, axis: int) -> Patch:
 
     A cell's mass goes to its halves as the slope there has it, at most all of it to one; then
     each half gives an eighth to its neighbours, which makes the variance what it was.  Mass is
-    kept by every cell, the mean where no slope is cut off.
+    kept by every cell, the mean where no slope is cut off; nothing goes beyond the world.
     """
     p, window = np.moveaxis(patch.density, axis, 0), patch.window
     circle = window.circles[axis]
@@ -85,10 +85,20 @@ def at_level(patch: Patch, level: tuple[int, ...]) -> Patch:
 
 
 def _changed(patch: Patch, axis: int, by: int, first: int, density: Array) -> Patch:
-    """Return a patch with the level of an axis, its first cell and its density changed."""
+    """
+    Return a patch with the level of an axis, its first cell and its density changed.
+
+    What has come to lie beyond the world stays at its edge.
+    """
     window = patch.window
     level, offset = list(window.level), list(window.offset)
     level[axis] += by
+    if not window.base.periodic[axis]:
+        cells = window.base.shape[axis] << level[axis]
+        before, after = max(-first, 0), max(first + len(density) - cells, 0)
+        density[before] += density[:before].sum(axis=0)
+        density[len(density) - after - 1] += density[len(density) - after:].sum(axis=0)
+        first, density = first + before, density[before:len(density) - after]
     offset[axis] = first
     density = np.ascontiguousarray(np.moveaxis(density, 0, axis))
     return Patch.at(window.base, level, offset, density)

@@ -4,7 +4,8 @@ How a patch of probability moves: along the flow of the drift, and into the widt
 Half of the noise acts before and half after the drift  [Strang 1968], which is second order in the
 step.  What a cell holds lands where the flow takes its centre, shared among three nodes on each
 axis, and the noise is a Gaussian on the lattice: mass and mean are exact, the variance too
-where the noise is at least a quarter of a cell squared, and nothing is ever negative.
+where the noise is at least a quarter of a cell squared on each axis (of correlated noise what is
+left there, which is nothing where it is all but along a line), and nothing is ever negative.
 """
 
 from __future__ import annotations
@@ -68,18 +69,23 @@ def heated(patch: Patch, variance: Array,
     window, p, first = patch.window, patch.density, np.zeros(len(kernels), dtype=np.int64)
     for axis, kernel in enumerate(kernels):
         if len(kernel) > 1:
-            cells = window.cells[axis] if window.base.periodic[axis] else None
-            p, first[axis] = _convolved(p, _folded(kernel, cells), axis), -(len(kernel) // 2)
-            if cells is not None and p.shape[axis] >= cells:
+            cells, round_ = window.cells[axis], window.base.periodic[axis]
+            if not round_:
+                # what goes further than that has left the world
+                middle = len(kernel) // 2
+                kernel = kernel[max(middle - cells, 0):middle + cells + 1]
+            first[axis] = -(len(kernel) // 2)
+            p = _convolved(p, _folded(kernel, cells) if round_ else kernel, axis)
+            if round_ and p.shape[axis] >= cells:
                 # what has come round a circle lies on what was there
                 patch = _placed(window, first, p)
                 window, p, first = patch.window, patch.density, 0 * first
     return _placed(window, first, p)
 
 
-def _folded(kernel: Array, cells: int | None) -> Array:
+def _folded(kernel: Array, cells: int) -> Array:
     """Return the weights of moves, an odd number, to which those a turn further on are added."""
-    if cells is None or len(kernel) <= cells + 1:
+    if len(kernel) <= cells + 1:
         return kernel
     once = np.pad(kernel, (0, -len(kernel) % cells)).reshape(-1, cells).sum(axis=0)
     return np.pad(once, (0, 1 - cells % 2))
@@ -130,6 +136,8 @@ def noise_kernel(variance: float) -> Array:
     if variance <= 0:
         return np.ones(1)
     reach = int(np.ceil(REACH * np.sqrt(variance)))
+    if reach == 1:
+        return np.array([variance / 2, 1 - variance, variance / 2])
     k = np.arange(-reach, reach + 1)
     a = 1 / (2 * variance)
     for _ in range(NEWTON):
@@ -191,6 +199,8 @@ def _sound(window: Window, move: Array, p: Array, least: float) -> tuple[Array, 
         finite, turn = move[axis][held & np.isfinite(move[axis])], window.cells[axis]
         if len(finite):
             move[axis] -= turn * np.rint(np.median(finite) / turn)
+            far = np.isfinite(move[axis]) & (np.abs(move[axis]) > turn)
+            move[axis][far] -= turn * np.rint(move[axis][far] / turn)
     defined = np.broadcast_to(np.isfinite(move).all(axis=0), p.shape)
     return np.clip(np.nan_to_num(move), -longest, longest), np.where(defined, p, 0.0)
 

@@ -13,17 +13,26 @@ Array = NDArray[np.float64]
 
 #: What is less than this share of the noise is rounding.
 ROUNDING = 1e-12
+#: So many axes may be correlated.
+MOST_AXES = 3
+#: By what share of the noise variances are enlarged at first.
+LEAST_MORE = 1e-9
 #: Exchanges until a superbase is obtuse: as many as noise is longer than wide, about.
 EXCHANGES = 100
 
 
-def integer_directions(variance: Array) -> tuple[Array, list[tuple[float, tuple[int, ...]]]]:
+def integer_directions(variance: Array, longest: float = np.inf
+                       ) -> tuple[Array, list[tuple[float, tuple[int, ...]]]]:
     """
     Return a covariance (n, n) as noise along the axes (n,) and along other integer directions.
 
     variance = diag(axes) + sum_k lambda_k v_k v_k^T with lambda_k > 0 and v_k of whole numbers, by
-    Selling's decomposition of each group of up to three axes that are correlated.  Raises
-    ValueError where more than three are, or the directions are hundreds of cells long.
+    Selling's decomposition of each group of up to three axes that are correlated.  longest: cells
+    of a direction along an axis; for noise so close to a line that it would take more, all
+    variances are enlarged alike as far as it needs, by less than (noise / longest)^2 / 2 of a
+    cell squared.
+    Raises ValueError where more than three are correlated, or the directions are hundreds of
+    cells long.
     """
     n = len(variance)
     axes, others = np.zeros(n), []
@@ -34,7 +43,7 @@ def integer_directions(variance: Array) -> tuple[Array, list[tuple[float, tuple[
     _, group = csgraph.connected_components(sparse.csr_array(correlated))
     for number in range(group.max() + 1):
         members = np.flatnonzero(group == number)
-        for strength, direction in _selling(variance[np.ix_(members, members)]):
+        for strength, direction in _short(variance[np.ix_(members, members)], longest):
             along = np.zeros(n, dtype=int)
             along[members] = direction
             if np.count_nonzero(along) == 1 and np.abs(along).sum() == 1:
@@ -42,6 +51,21 @@ def integer_directions(variance: Array) -> tuple[Array, list[tuple[float, tuple[
             else:
                 others.append((strength, tuple(along.tolist())))
     return axes, others
+
+
+def _short(D: Array, longest: float) -> list[tuple[float, NDArray[np.int64]]]:
+    """Return lambda_k and v_k of a matrix whose variances are enlarged until all v_k are short."""
+    more = 0.0
+    while True:
+        wide = D + more * np.eye(len(D))
+        try:
+            found = _selling(wide)
+            if max(int(np.abs(v).max()) for _, v in found) <= longest:
+                return found
+        except ValueError:
+            if np.isinf(longest) or len(D) > MOST_AXES:
+                raise
+        more = max(LEAST_MORE * float(np.trace(D)), 1.5 * more)
 
 
 def _selling(D: Array) -> list[tuple[float, NDArray[np.int64]]]:
@@ -54,7 +78,7 @@ def _selling(D: Array) -> list[tuple[float, NDArray[np.int64]]]:
     n = len(D)
     if n == 1:
         return [(float(D[0, 0]), np.ones(1, dtype=int))]
-    if n > 3:
+    if n > MOST_AXES:
         raise ValueError(f'noise: expected at most 3 axes that are correlated, got {n}')
     base = np.vstack([np.eye(n, dtype=int), -np.ones(n, dtype=int)])
     nothing = ROUNDING * np.trace(D)
