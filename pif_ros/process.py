@@ -75,12 +75,15 @@ def explain(error: Exception, arguments: Sequence[str]) -> str:
     """Return in one line why ROS did not take its arguments, naming the parameter if it can."""
     for path in params_files(arguments):
         try:
-            tree = yaml.safe_load(Path(path).read_bytes())
+            # rcl takes every document of a file
+            trees = list(yaml.safe_load_all(Path(path).read_bytes()))
+            wrong = next(filter(None, map(_wrong_list, trees)), None)
         except OSError as fault:
             return f'{path}: expected a readable file, got {fault.strerror}'
         except (yaml.YAMLError, ValueError) as fault:
             return f'{path}: expected YAML, got {" ".join(str(fault).split())}'
-        wrong = _wrong_list(tree)
+        except RecursionError:
+            return f'{path}: expected a tree of parameters, got one too deep or within itself'
         if wrong is not None:
             return wrong
     text = re.sub(r',? at \S*/src/\S+', '', str(error)).splitlines()[0]
@@ -91,10 +94,14 @@ def explain(error: Exception, arguments: Sequence[str]) -> str:
 
 def strangers(arguments: Sequence[str], name: str) -> str | None:
     """Return in one line that no parameter file has parameters for a node of this name."""
-    found = set()
+    found: set[Any] = set()
     for path in params_files(arguments):
-        tree = yaml.load(Path(path).read_bytes(), Loader=yaml.BaseLoader)
-        found |= set(tree) if isinstance(tree, dict) else set()
+        # what rcl took and this does not may be for any node
+        try:
+            trees = list(yaml.load_all(Path(path).read_bytes(), Loader=yaml.BaseLoader))
+        except (yaml.YAMLError, RecursionError):
+            return None
+        found.update(*(tree for tree in trees if isinstance(tree, dict)))
     addressed = found & {name, name.lstrip('/')} or any('*' in str(key) for key in found)
     if addressed or not found:
         return None

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 import dataclasses
 from dataclasses import dataclass
+from importlib.util import find_spec
 import math
 import sys
 import time
@@ -256,8 +257,8 @@ class Simulator(Node):
 
 @contextmanager
 def _progress(total: float) -> Iterator[Callable[[float], None]]:
-    """Show on a terminal how many seconds have been played."""
-    if not sys.stderr.isatty():
+    """Show on a terminal how many seconds have been played, where tqdm is there."""
+    if not sys.stderr.isatty() or find_spec('tqdm') is None:
         yield lambda seconds: None
         return
     from tqdm import tqdm

@@ -15,11 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import contextlib
+import fcntl
 import hashlib
 import json
 import math
 import os
 from pathlib import Path
+import re
+import secrets
 import stat
 from typing import Any, BinaryIO, NamedTuple
 
@@ -57,25 +60,27 @@ def write(path: Path, arrays: Mapping[str, NDArray[Any]], identity: Identity) ->
     Put arrays of <f8 and <i8 in the place of a file, all or nothing; return what is there now.
 
     Whenever it is interrupted, the file is the old one or the new one, which is on the disk before
-    it takes the old one's place.  What is interrupted leaves NAME.partial, which the next write
-    removes.  Raises OSError where it cannot be written, StateRefused where it is too large; the
-    old file is still there then.
+    it takes the old one's place.  Of several writers at once the last one's is there in the end.
+    What is interrupted leaves NAME.PID.TOKEN.partial, which the next write removes.  Raises
+    OSError where it cannot be written, StateRefused where it is too large; the old file is still
+    there then.
     """
     header = _encoded(arrays, identity)
     if PREAMBLE + len(header) + sum(array.nbytes for array in arrays.values()) > LARGEST:
         raise StateRefused(f'expected a state of at most {LARGEST} bytes, got a larger one')
-    partial = path.with_name(f'{path.name}.partial')
-    partial.unlink(missing_ok=True)
+    _remove_stale(path)
+    partial = path.with_name(f'{path.name}.{os.getpid()}.{secrets.token_hex(4)}.partial')
     handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
     try:
         with os.fdopen(handle, 'wb') as file:
+            _lock(handle)
             file.write(MAGIC + VERSION + len(header).to_bytes(8, 'little') + _sum(header) + header)
             for array in arrays.values():
                 file.write(_bytes(array))
             file.flush()
             os.fsync(file.fileno())
             mark = _mark(os.fstat(file.fileno()))
-        os.replace(partial, path)
+            os.replace(partial, path)
     except BaseException:
         with contextlib.suppress(OSError):
             partial.unlink()
@@ -115,6 +120,24 @@ def mark_of(path: Path) -> Mark | None:
         return _mark(os.stat(path))
     except FileNotFoundError:
         return None
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove what writers of a file left half written; those that still write hold a lock."""
+    left = re.compile(rf'{re.escape(path.name)}\.\d+\.[0-9a-f]{{8}}\.partial')
+    with contextlib.suppress(OSError):
+        for name in filter(left.fullmatch, os.listdir(path.parent)):
+            with contextlib.suppress(OSError):
+                handle = os.open(path.with_name(name), os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+                with os.fdopen(handle, 'rb'):
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    path.with_name(name).unlink()
+
+
+def _lock(handle: int) -> None:
+    """Tell other writers that this one lives, where files can be locked."""
+    with contextlib.suppress(OSError):
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _encoded(arrays: Mapping[str, NDArray[Any]], identity: Identity) -> bytes:

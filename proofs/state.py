@@ -39,18 +39,19 @@ def run(share: float = 1.0) -> list[str]:
 def killed(count: int, folder: Path) -> str:
     """Kill so many processes that write a file, and find it whole each time, or none yet."""
     context, rng = multiprocessing.get_context('forkserver'), _seeded('kills')
-    path, partial = folder / 'killed', folder / 'killed.partial'
+    path = folder / 'killed'
     context.set_forkserver_preload([__name__])
     within = none = 0
     for k in range(count):
         # every other time there is no file yet, and it is killed at its first
-        partial.unlink(missing_ok=True)
+        for partial in _partials(folder):
+            partial.unlink(missing_ok=True)
         if k % 2 == 0:
             path.unlink(missing_ok=True)
         known = _number(path)
         writer = context.Process(target=write_for_ever, args=(path, (known or 0) + 1))
         writer.start()
-        while not partial.exists() and _number(path) == known:
+        while not _partials(folder) and _number(path) == known:
             assert writer.is_alive(), 'it ended by itself'
             time.sleep(0.0005)
         time.sleep(rng.uniform(0, LATEST if k % 2 else LATEST / 5))
@@ -61,7 +62,7 @@ def killed(count: int, folder: Path) -> str:
         assert found is not None or known is None, 'the file that was there is gone'
         assert (found or 0) >= (known or 0), 'an older file than before'
         none += found is None
-        within += partial.exists()
+        within += bool(_partials(folder))
     return (f'{count} processes were killed while they wrote one file after the other, {within} '
             f'with one half written: {count - none} files, all of them whole, and {none} times '
             'none yet')
@@ -72,6 +73,11 @@ def write_for_ever(path: Path, first: int) -> None:
     for number in itertools.count(first):
         arrays = {NUMBER: np.array([number]), 'cells': np.full(CELLS, float(number))}
         state_file.write(path, arrays, {})
+
+
+def _partials(folder: Path) -> list[Path]:
+    """Return what is half written."""
+    return list(folder.glob('killed.*.partial'))
 
 
 def _number(path: Path) -> int | None:

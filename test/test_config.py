@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 from pif_ros.config import build_tracker, Config, ConfigError, find_grid, specifications
 from pif_ros.config.filters import make_filter
-from pif_ros.core.active import ActiveGridFilter
+from pif_ros.core.active import ActiveGridFilter, RegionSettings
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import StateModel
@@ -357,7 +357,7 @@ INTEGERS = {
     'prior.covariance_diagonal': [10, 9], 'kernel.time_step': 1, 'kernel.r': 1,
     'pose.unestimated_variance': 2, 'publish.rate': 10, 'density.rate': 2, 'time.history': 3,
     'time.history_memory': 100, 'time.max_ahead': 2, 'time.max_forecast': 30,
-    'time.max_gap': 60, 'control.hold': 1, 'region.negligible': 0, 'region.resolution': 2,
+    'time.max_gap': 60, 'control.hold': 1, 'region.resolution': 2,
     'kernel.noise_inflation': 1, 'kernel.macro_error': 0, 'kernel.s': 0,
     'filter.significance': 0, 'diagnostics.rate': 2, 'diagnostics.max_age': [1, 2],
     'diagnostics.max_delay': [1, 1], 'diagnostics.max_refused': [0, 1],
@@ -391,8 +391,20 @@ def test_every_real_parameter_was_tried_with_an_integer():
     reals = {name for name, spec in specifications().items()
              if isinstance(spec.default, float)
              or (isinstance(spec.default, tuple) and any(type(v) is float for v in spec.default))}
-    # a tolerance is at most 0.1, and no whole number is; nor is one between 0 and 1
-    assert reals - {'kernel.tolerance', 'recovery.share'} <= INTEGERS.keys()
+    # a tolerance is at most 0.1, and no whole number is; nor is one between 0 and 1, or 0.01
+    assert reals - {'kernel.tolerance', 'recovery.share', 'region.negligible'} <= INTEGERS.keys()
+
+
+@pytest.mark.parametrize('kind', ['auto', 'full', 'active'])
+def test_what_is_said_of_a_negligible_share_is_what_is_taken(kind):
+    said = specifications()['region.negligible'].metadata['kind'].wanted
+    for value in (0.0, 0.0101, 0.5, -1e-5):
+        with pytest.raises(ConfigError, match=f'^region.negligible: expected {said}, got {value}'):
+            Config.from_parameters({'region.kind': kind, 'region.negligible': value})
+    for value in (1e-12, 0.01):
+        given = {'region.kind': kind, 'region.negligible': value}
+        assert Config.from_parameters(given).region.negligible == value
+        assert RegionSettings(negligible=value).negligible == value
 
 
 def test_a_configuration_of_nothing_is_the_first_example_of_the_papers():

@@ -95,8 +95,10 @@ def refused(path, *more):
     ('filter_node:\n  ros__parameters:\n   a: 1\n    b: 2\n', ['{path}', 'YAML']),
     ('filter_node:\n\tros__parameters:\n', ['{path}', 'YAML']),
     (b'\xd9: [\x00\x01', ['{path}', 'YAML']),
+    ('/**:\n  ros__parameters: &x\n    a: *x\n', ['{path}', 'within itself']),
+    (NODE + '    a: 1\n---\n' + NODE + '    a: [1, 1.5]\n', ['a: ', '[1, 1.5]', 'one type']),
 ], ids=['integer first', 'real first', 'number among booleans', 'nested', 'y is true',
-        'no ros__parameters', 'broken', 'tabs', 'binary'])
+        'no ros__parameters', 'broken', 'tabs', 'binary', 'of itself', 'second document'])
 def test_a_file_that_ros_does_not_take_is_explained_in_one_line(tmp_path, text, words):
     path = tmp_path / 'wrong.yaml'
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
@@ -142,6 +144,24 @@ def test_a_file_for_another_node_is_told_from_one_for_this_node(tmp_path):
 def test_a_file_that_is_empty_or_for_every_node_is_no_strangers(tmp_path, text):
     path = tmp_path / 'some.yaml'
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    assert strangers(['--params-file', str(path)], '/filter_node') is None
+
+
+def test_each_document_of_a_file_counts(tmp_path):
+    path = tmp_path / 'two.yaml'
+    path.write_text('/other:\n  ros__parameters: {a: 1}\n---\n/another:\n'
+                    '  ros__parameters: {a: 1}\n', encoding='utf-8')
+    arguments = ['node', '--ros-args', '--params-file', str(path)]
+    context = Context()
+    rclpy.init(context=context, args=arguments)
+    context.try_shutdown()
+    assert strangers(arguments, '/another') is None
+    assert strangers(arguments, '/filter_node').endswith(' got some for /another, /other only')
+
+
+def test_what_cannot_be_read_here_is_no_strangers(tmp_path):
+    path = tmp_path / 'itself.yaml'
+    path.write_text('/other: &x\n  ros__parameters: *x\n', encoding='utf-8')
     assert strangers(['--params-file', str(path)], '/filter_node') is None
 
 

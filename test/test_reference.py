@@ -6,9 +6,11 @@ import re
 import numpy as np
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.belief import GridBelief
+from pif_ros.core.estimates import Rejection
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
+from pif_ros.core.tracker import MOST_CONTROLS
 from pif_ros.reference import filled, tables
 import pytest
 
@@ -25,6 +27,18 @@ def test_a_parameter_that_changes_makes_the_readme_differ():
     text = README.read_text(encoding='utf-8')
     assert filled(text.replace('`kernel.time_step` | `0.01`', '`kernel.time_step` | `0.02`')) \
         == text
+
+
+def test_every_reason_of_a_rejection_is_named():
+    text = ' '.join(README.read_text(encoding='utf-8').split())
+    [named] = re.findall(r'counted by its reason \((.*?)\) and logged', text)
+    reasons = {rejection.value for rejection in Rejection}
+    for file in (README.parent / 'pif_ros').glob('*.py'):
+        reasons |= set(re.findall(r"(?:\bRefused|\breject)\((?:inlet, )?'(.*?)'",
+                                  file.read_text(encoding='utf-8')))
+    assert {'other frame', 'too many', 'overload', 'fault', 'no clock'} <= reasons
+    assert [reason for reason in sorted(reasons) if reason not in named] == []
+    assert f'{MOST_CONTROLS:,} are kept' in named
 
 
 def test_the_parameter_file_of_the_readme_makes_a_filter(tmp_path):

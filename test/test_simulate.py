@@ -256,6 +256,14 @@ def test_a_terminal_sees_how_far_it_is(graph, monkeypatch, capsys):
     assert '100%' in capsys.readouterr().err
 
 
+def test_without_tqdm_a_terminal_sees_nothing(graph, monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, 'isatty', lambda: True)
+    monkeypatch.setitem(sys.modules, 'tqdm', None)
+    listener = graph.add(Listener(graph, fix=JointState))
+    play(graph, listener)
+    assert capsys.readouterr().err == '' and listener.measured
+
+
 def test_settings_may_stand_among_the_parameters_and_arguments_count_above_them(graph):
     player = simulator(graph, {**PLANE, 'seed': 7, 'duration': 3, 'rate': 20}, duration=2.0)
     assert (player.settings.seed, player.settings.duration, player.settings.rate) == (7, 2.0, 20.0)

@@ -3,6 +3,7 @@
 import errno
 import functools
 import os
+import secrets
 
 import numpy as np
 from pif_ros import state_file
@@ -144,15 +145,46 @@ def test_the_new_file_is_on_the_disk_before_it_takes_the_place_of_the_old_one(fi
 
 
 def test_what_an_interrupted_write_left_is_in_nobodys_way(file):
-    partial = file.with_name('state.partial')
-    partial.write_bytes(b'half')
+    for name in (f'state.{os.getpid()}.00c0ffee.partial', 'state.1.0123abcd.partial'):
+        file.with_name(name).write_bytes(b'half')
+    others = ['another.1.0123abcd.partial', 'state.1.partial.bak']
+    for name in others:
+        file.with_name(name).write_bytes(b'precious')
     state_file.write(file, {'stamps': ARRAYS['stamps']}, OF)
-    assert not partial.exists()
+    assert sorted(os.listdir(file.parent)) == sorted([*others, 'state'])
 
 
-def test_a_link_in_place_of_a_partial_file_is_not_followed(file, tmp_path):
+def test_a_link_in_place_of_a_partial_file_is_not_followed(file, tmp_path, monkeypatch):
+    monkeypatch.setattr(secrets, 'token_hex', lambda size: 2 * size * 'a')
     other = tmp_path / 'other'
     other.write_bytes(b'precious')
-    file.with_name('state.partial').symlink_to(other)
-    state_file.write(file, ARRAYS, OF)
-    assert other.read_bytes() == b'precious' and not file.is_symlink()
+    link = file.with_name(f'state.{os.getpid()}.aaaaaaaa.partial')
+    link.symlink_to(other)
+    with pytest.raises(FileExistsError):
+        state_file.write(file, ARRAYS, OF)
+    assert other.read_bytes() == b'precious' and not file.is_symlink() and link.is_symlink()
+
+
+def test_of_two_writers_at_once_neither_takes_what_is_the_others(file, monkeypatch):
+    real, stamps, left = os.fsync, {'stamps': np.array([1])}, []
+
+    def fsync(handle):
+        real(handle)
+        monkeypatch.setattr(os, 'fsync', real)
+        state_file.write(file, {'stamps': np.array([2])}, OF)
+        left.extend(os.listdir(file.parent))
+
+    monkeypatch.setattr(os, 'fsync', fsync)
+    mark = state_file.write(file, stamps, OF)
+    # the second is done while the first still has its own to put there
+    assert len(left) == 2
+    found, there = state_file.read(file, OF, [{'stamps': LAYOUT['stamps']}])
+    assert found['stamps'] == [1] and there == mark
+    assert os.listdir(file.parent) == ['state']
+
+
+def test_a_write_that_fails_leaves_nothing(file, monkeypatch):
+    monkeypatch.setattr(os, 'replace', functools.partial(os.link, follow_symlinks=False))
+    with pytest.raises(FileExistsError):
+        state_file.write(file, ARRAYS, OF)
+    assert os.listdir(file.parent) == ['state']

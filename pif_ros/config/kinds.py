@@ -79,6 +79,13 @@ def _between(value: Value) -> float:
     return number
 
 
+def _little(value: Value) -> float:
+    number = _between(value)
+    if number > 0.01:
+        raise ValueError
+    return number
+
+
 def _seed(value: Value) -> int:
     number = _integer(value)
     if not 0 <= number < 2**63:
@@ -170,6 +177,7 @@ NOT_NEGATIVE = Kind('a number, 0 or more', _not_negative)
 COUNT = Kind('a whole number, 1 to 1000000', _count)
 SHARE, PART = Kind('a number from 0 to 1', _share), Kind('a number from 0 to below 1', _part)
 BETWEEN = Kind('a number between 0 and 1', _between)
+LITTLE = Kind('a number above 0 and up to 0.01', _little)
 SEED, STEPS = Kind('a whole number, 0 or more', _seed), Kind('a whole number, 1 to 1000', _steps)
 DURATION = Kind('a number from 0 to 1e9', _duration)
 FREQUENCY = Kind('0, or a number from 0.001 to 1000', _frequency)

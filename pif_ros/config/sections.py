@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pif_ros.config.kinds import (BETWEEN, BOOL, BOOLS, COUNT, DURATION, FREQUENCY, INTEGER,
-                                  INTEGERS, LIMITS, NAME, NAMES, NOT_NEGATIVE, NUMBER, NUMBERS,
-                                  one_of, parameter, PART, POSITIVE, SEED, SHARE, SPAN, STEPS,
-                                  TEXT)
+                                  INTEGERS, LIMITS, LITTLE, NAME, NAMES, NOT_NEGATIVE, NUMBER,
+                                  NUMBERS, one_of, parameter, PART, POSITIVE, SEED, SHARE, SPAN,
+                                  STEPS, TEXT)
 from pif_ros.core.continuous import SCHEMES
 
 
@@ -47,7 +47,7 @@ class RegionConfig:
                           'where the belief is, and finer ones where it is narrow, for which the '
                           'grid is the world and its widest cells; auto: active where the model '
                           'has inputs, or changes with time and never comes again')
-    negligible: float = parameter(1e-5, PART, "active: share of a patch's mass that may be left "
+    negligible: float = parameter(1e-5, LITTLE, "active: share of a patch's mass that may be left "
                                   'out in each step')
     resolution: float = parameter(1.3, POSITIVE, 'active: cells per standard deviation below '
                                   'which cells are halved', 'cells')

@@ -11,11 +11,13 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistStamped
+from pif_ros import parameters
 from pif_ros.plaza.progress import Progress
 from pif_ros.plaza.recording import load, Recording
 from pif_ros.plaza.schedule import Step, steps
 from pif_ros.plaza.settings import Settings
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, ParameterUninitializedException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -51,7 +53,10 @@ class Player(Node):
 
         ValueError or FileNotFoundError in one line where that cannot be played.
         """
-        super().__init__('plaza_player', start_parameter_services=False, **options)
+        try:
+            super().__init__('plaza_player', start_parameter_services=False, **options)
+        except (InvalidParameterTypeException, ParameterUninitializedException):
+            raise ValueError(parameters.mistyped(self)) from None
         self.settings = settings or self._declared()
         self.recording = recording or load(self.settings.recording, self.settings.path)
         self.settings.span.limits_ns(self.recording)
@@ -96,13 +101,12 @@ class Player(Node):
         progress.close()
 
     def _declared(self) -> Settings:
-        given = set(self._parameter_overrides) - {'use_sim_time'}
         names = {field.name: field.default for field in fields(Settings)}
         for name, default in names.items():
             self.declare_parameter(
                 name, default, ParameterDescriptor(dynamic_typing=True, read_only=True))
-        return Settings.from_values(
-            {name: self._parameter_overrides[name].value for name in sorted(given)})
+        told = parameters.told(self)
+        return Settings.from_values({name: told[name] for name in sorted(told)})
 
     def _quiet(self) -> float:
         return 1.0 if self.settings.speed == 0.0 else 0.1

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 import sys
 
 
 class Progress:
-    """A bar on a terminal; elsewhere a line every ten per cent."""
+    """A bar on a terminal; elsewhere, and without tqdm, a line every ten per cent."""
 
     def __init__(self, first_ns: int, last_ns: int) -> None:
         """Start at the first stamp, to end at the last."""
@@ -14,7 +15,7 @@ class Progress:
         self._total_ns = max(last_ns - first_ns, 1)
         self._tenths = 0
         self._bar = None
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and find_spec('tqdm') is not None:
             from tqdm import tqdm
             self._bar = tqdm(
                 total=self._total_ns * 1e-9, desc='recording', leave=True,

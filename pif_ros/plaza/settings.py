@@ -74,4 +74,6 @@ def _number(name: str, value: object) -> tuple[str, bool]:
     number = isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
     if name == 'timeout':
         return 'a number above 0', number and value > 0  # type: ignore[operator]
+    if name in ('start', 'duration'):
+        return 'a number from 0 to 1e9', number and 0 <= value <= 1e9  # type: ignore[operator]
     return 'a number of at least 0', number and value >= 0  # type: ignore[operator]

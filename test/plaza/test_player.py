@@ -209,8 +209,23 @@ def test_a_signal_ends_it_with_status_0_and_not_a_word(
     ('sped:=1.0', "plaza_player: parameter 'sped': expected one of recording, path, speed, "
      'follow, start, duration, timeout, odometry'),
     ('odometry:=1', "plaza_player: parameter 'odometry': expected true or false, got 1"),
+    ('use_sim_time:=7', 'plaza_player: use_sim_time: expected true or false, got 7'),
+    ('start:=1e300', "plaza_player: parameter 'start': expected a number from 0 to 1e9, "
+     'got 1e+300'),
+    ('duration:=1e300', "plaza_player: parameter 'duration': expected a number from 0 to 1e9, "
+     'got 1e+300'),
     ('path:=/absent.mat', 'plaza_player: no such recording: /absent.mat')])
 def test_what_cannot_be_played_is_one_line_and_status_2(argument: str, line: str) -> None:
     process = player_process(argument)
     output, errors = process.communicate(timeout=20.0)
     assert (process.returncode, errors) == (2, line + '\n')
+
+
+@pytest.mark.parametrize('argument', [
+    'start_type_description_service:=false', 'qos_overrides./clock.publisher.depth:=5'])
+def test_what_rclpy_itself_is_told_is_no_unknown_parameter(
+        synthetic_file: Path, argument: str) -> None:
+    process = player_process(f'path:={synthetic_file}', argument)
+    assert 'waiting for the other end' in process.stdout.readline()
+    process.send_signal(signal.SIGTERM)
+    assert (process.wait(10.0), process.stderr.read()) == (0, '')

@@ -13,6 +13,14 @@ def show_all(last: int) -> None:
     progress.close()
 
 
+def test_without_tqdm_it_is_lines_on_a_terminal_too(
+        capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, 'isatty', lambda: True)
+    monkeypatch.setitem(sys.modules, 'tqdm', None)
+    show_all(1000)
+    assert len(capsys.readouterr().err.splitlines()) == 10
+
+
 @pytest.mark.parametrize('last', [110, 997, 5003])
 def test_elsewhere_than_on_a_terminal_it_is_a_line_every_tenth(
         capsys: pytest.CaptureFixture[str], last: int) -> None:
