@@ -56,9 +56,10 @@ class Tracker(Generic[Belief]):
         """
         Forget what was taken, and start from a belief (the prior where none is given).
 
-        steered_ns: a stamp; the controls that may hold there, and later ones, are kept.
+        steered_ns: a stamp within the history; the controls that may hold there, and later ones,
+        are kept.  Of what held before the history, it is not known any more.
         """
-        kept = [] if steered_ns is None else [
+        kept = [] if steered_ns is None or steered_ns < self._oldest_ns() else [
             control for control in self._steered if control[0] >= steered_ns - self._hold_ns]
         self._anchor = Estimate(stamp_ns, self.prior if belief is None else belief)
         self._anchored: Measurement | None = None

@@ -242,3 +242,19 @@ def test_refuses_a_control_where_the_model_has_no_inputs():
 def test_refuses_a_hold_that_is_no_time(hold):
     with pytest.raises(ValueError, match='^hold: expected seconds, 0 or more, got'):
         Tracker(FILTER, PRIOR, hold=hold)
+
+
+@pytest.mark.parametrize('back', [0, SECOND // 10, SECOND // 2, 2 * SECOND])
+def test_what_drives_on_from_a_new_start_does_not_depend_on_when_the_work_was_done(back):
+    at_once, later = (Tracker(FILTER, PRIOR, 0.2, hold=3.0) for _ in range(2))
+    for k in range(30):
+        stamp_ns = k * SECOND // 10
+        for tracker in (at_once, later):
+            assert tracker.control(stamp_ns, (1.0, 0.1 * k)) is None
+            assert tracker.observe(Measurement(stamp_ns, 'place', (0.1 * k, 0.2))) is None
+        at_once.estimate()
+    start_ns = 29 * SECOND // 10 - back
+    for tracker in (at_once, later):
+        tracker.reset(PRIOR, start_ns, start_ns)
+    assert_same_bits(at_once.forecast(start_ns + SECOND),
+                     later.forecast(start_ns + SECOND).belief)
