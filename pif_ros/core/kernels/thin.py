@@ -1,4 +1,9 @@
-"""Weights that keep mass, mean and covariance of a step however thin its noise is."""
+"""
+Weights that keep mass, mean and covariance of a step however thin its noise is.
+
+Of thin noise that is correlated the variance is larger on the axes that lean on others: a mean
+between two nodes spreads by itself.
+"""
 
 from __future__ import annotations
 
