@@ -18,7 +18,7 @@ class KernelSettings:
     exp(-r eps div f); extent: largest move in cells on each axis, 0 for as wide as the kernel
     needs; weights: 'sampled' takes the density at the cell centres, 'moments' keeps mass, mean and
     covariance however thin the noise is against a cell (where it is correlated and thin, some
-    variances come out twice and more as large), 'auto' chooses by the noise; tolerance: the share of
+    variances come out far too large), 'auto' chooses by the noise; tolerance: the share of
     a Gaussian's tail that is left out; noise_inflation: alpha of the papers' way with
     thin noise, which takes g = alpha dx on each axis for the model's own, 0 for none; form:
     'tabulated' for a weight per pair of cells, 'split' for an operator per axis, which has no use
