@@ -18,6 +18,7 @@ from pif_ros.core.filters import NANOSECONDS
 from pif_ros.filter_node import FilterNode, FORECASTS_TAKE
 from pif_ros.inbox import SLICE
 from pif_ros.process import guarded
+from pif_ros.stopwatch import shortest, Stopwatch
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, ParameterUninitializedException
 from rclpy.guard_condition import GuardCondition
@@ -32,18 +33,20 @@ class Target(FilterNode):
     """
     The filter node of a target, in the namespace of its name, whose work a bank does.
 
-    many: what makes the trackers of all; wake: what tells the bank that there is work.
+    many: what makes the trackers of all; wake: what tells the bank that there is work; watch: the
+    times of the work for all targets.
     """
 
     tracker: Member
 
     def __init__(self, namespace: str, many: FilterOfMany, wake: GuardCondition,
-                 cli_args: Sequence[str] | None = None, **kwargs: Any) -> None:
+                 watch: Stopwatch, cli_args: Sequence[str] | None = None, **kwargs: Any) -> None:
         self._many, self._bank_wake = many, wake
         # before the process' own arguments, which would put all targets into one namespace
         place = ['--ros-args', '-r', f'__ns:={namespace}', '-r', '__node:=filter_node', '--']
         # whose services would be five more for each target: the bank starts them all
-        super().__init__(managed=False, cli_args=[*place, *(cli_args or ())], **kwargs)
+        super().__init__(managed=False, cli_args=[*place, *(cli_args or ())], watch=watch,
+                         **kwargs)
 
     @property
     def state_file(self) -> Path | None:
@@ -61,17 +64,13 @@ class Target(FilterNode):
     @guarded
     def correct(self) -> Estimate[Any] | None:
         """Work in one measurement, and return what is then to be told."""
-        return self.inbox.work()
-
-    @guarded
-    def tell(self, estimate: Estimate[Any]) -> None:
-        """Publish an estimate."""
-        self._publish(estimate)
+        with self.watch.timing('correct'):
+            return self.inbox.work()
 
     @guarded
     def forecast(self, now_ns: int) -> None:
         """Publish what is believed of now."""
-        self._publish(self.tracker.forecast(now_ns))
+        self.tell(self.tracker.forecast(now_ns))
 
     def now(self) -> int | None:
         """Return the time in nanoseconds, None before there is a /clock."""
@@ -111,6 +110,7 @@ class FilterBank(Node):
         except (InvalidParameterTypeException, ParameterUninitializedException):
             raise ConfigError(parameters.mistyped(self)) from None
         self.faults = 0
+        self._watch = Stopwatch()
         self._throttle = Throttle()
         self._next_forecast: dict[tuple[float, bool], float] = {}
         given, many = parameters.told(self), FilterOfMany()
@@ -122,7 +122,7 @@ class FilterBank(Node):
         for name in names:
             place = f'{self.get_namespace().rstrip("/")}/{name}'
             try:
-                self.targets[name] = Target(place, many, self._wake, **kwargs)
+                self.targets[name] = Target(place, many, self._wake, self._watch, **kwargs)
             except ConfigError as error:
                 raise ConfigError(f'{place}/filter_node: {error}') from None
         self._check_own(given)
@@ -165,9 +165,10 @@ class FilterBank(Node):
     def _work(self) -> None:
         """Correct by what waits, all targets by one measurement each, then by the next."""
         try:
-            busy = [target for target in self.targets.values() if target.inbox.wants_a_turn]
-            for _ in range(SLICE):
-                busy = self._correct(busy)
+            with self._watch.timing('work'):
+                busy = [target for target in self.targets.values() if target.inbox.wants_a_turn]
+                for _ in range(SLICE):
+                    busy = self._correct(busy)
         finally:
             if any(target.inbox.wants_a_turn for target in self.targets.values()):
                 self._wake.trigger()
@@ -195,19 +196,25 @@ class FilterBank(Node):
         # each is to see for itself that the clock was set
         now_ns, *_ = [target.now() for target in targets]
         began, (rate, _) = time.monotonic(), group
-        if now_ns is None or began < self._next_forecast.get(group, 0.0):
+        if now_ns is None:
             return
         due = [target for target in targets if target.is_due(now_ns)]
-        self._foresee((target.tracker, now_ns) for target in due)
-        for target in due:
-            target.forecast(now_ns)
+        if began < self._next_forecast.get(group, 0.0):
+            for target in due:
+                target.skipped += 1
+            return
+        with self._watch.timing('forecast'):
+            self._foresee((target.tracker, now_ns) for target in due)
+            for target in due:
+                target.forecast(now_ns)
         took = FORECASTS_TAKE * (time.monotonic() - began)
         self._next_forecast[group] = began + took if took * rate > 1 else 0.0
 
     def _foresee(self, asked: Iterable[tuple[Member, int | None]]) -> None:
         try:
-            self._bank.foresee((tracker, stamp_ns) for tracker, stamp_ns in asked
-                               if stamp_ns is not None)
+            with self._watch.timing('predict'):
+                self._bank.foresee((tracker, stamp_ns) for tracker, stamp_ns in asked
+                                   if stamp_ns is not None)
         except Exception as error:  # noqa: B902  models are others' code
             # each target meets it again by itself, and accounts for it
             self.report('together', f'not predicted together: {type(error).__name__}: {error}')
@@ -238,14 +245,12 @@ class FilterBank(Node):
 
     def _speed(self) -> list[str]:
         """Return a sentence where prediction of all targets is slower than time."""
-        step, needed = next(iter(self.targets.values())).tracker.filter.time_step_ns, []
-        for _ in range(3):
-            began = time.perf_counter()
-            self._bank.rehearse()
-            needed.append(time.perf_counter() - began)
-        return [] if min(needed) < step / NANOSECONDS / 2 else [
-            f'targets: a step of {step / NANOSECONDS:g} s of all takes {min(needed):.2g} s to '
-            'compute: the filters cannot keep up; share the targets among processes']
+        target, *_ = self.targets.values()
+        step = target.tracker.filter.time_step_ns / NANOSECONDS
+        needed = shortest(lambda _: self._bank.rehearse())
+        return [] if needed < step / 2 else [
+            f'targets: a step of {step:g} s of all takes {needed:.2g} s to compute: the filters '
+            'cannot keep up; share the targets among processes']
 
 
 def _check_files(targets: Mapping[str, Target]) -> None:

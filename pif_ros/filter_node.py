@@ -6,11 +6,10 @@ import math
 import time
 from typing import Any
 
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from pif_ros import interface, parameters
+from pif_ros import parameters
 from pif_ros.accounts import Accounts, Throttle
-from pif_ros.config import (build_tracker, Config, ConfigError, describe, find_grid, find_system,
-                            uniform_of)
+from pif_ros.config import (build_tracker, Config, ConfigError, describe, find_grid,
+                            find_system)
 from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.continuous import PathBelief
 from pif_ros.core.estimates import Estimate, Memory
@@ -25,16 +24,14 @@ from pif_ros.managed_node import ManagedNode
 from pif_ros.outputs import Outputs
 from pif_ros.process import guarded
 from pif_ros.resuming import Resuming
-from pif_ros.sources import Refused
-from pif_ros.start import start_of
-from pif_ros.stopwatch import Stopwatch, TimedFilter
+from pif_ros.start import Starting
+from pif_ros.stopwatch import shortest, Stopwatch, TimedFilter
 from pif_ros.timekeeper import ClockSet, Timekeeper
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, ParameterUninitializedException
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from std_srvs.srv import Empty, Trigger
 
 #: Predicting the pose to now has one in so many parts of the time at most, the rest is for
 #: measurements.
@@ -49,11 +46,12 @@ class FilterNode(ManagedNode):
     Measurements in; pose, covariance and density out, on the topics of interface.py.
 
     It configures and activates itself, unless autostart is false: then a lifecycle manager does.
-    managed: whether one can; where not, it starts in any case.  Raises ConfigError for parameters
-    that make no filter, as far as these are looked at here.
+    managed: whether one can; where not, it starts in any case; watch: times its work.  Raises
+    ConfigError for parameters that make no filter, as far as these are looked at here.
     """
 
-    def __init__(self, managed: bool = True, **kwargs: Any) -> None:
+    def __init__(self, managed: bool = True, watch: Stopwatch | None = None,
+                 **kwargs: Any) -> None:
         try:
             super().__init__('filter_node', managed, **kwargs)
         except (InvalidParameterTypeException, ParameterUninitializedException):
@@ -63,7 +61,7 @@ class FilterNode(ManagedNode):
         self.config = parameters.declare(self, given)
         self.faults = self.skipped = self.restarts = 0
         self.accounts = Accounts(())
-        self.watch = Stopwatch()
+        self.watch = watch or Stopwatch()
         self._why, self._lost = '', False
         # whether there was something to tell while it was inactive
         self._is_untold = False
@@ -109,42 +107,6 @@ class FilterNode(ManagedNode):
         return '' if self._live.get(f'{prefix}.enabled', True) else 'disabled'
 
     @guarded
-    def _on_initial_pose(self, msg: PoseWithCovarianceStamped) -> None:
-        now_ns, account = self._now(), self.accounts.initial_pose
-        account.received += 1
-        try:
-            if not self.is_active:
-                raise Refused('inactive', 'it is inactive')
-            belief, stamp_ns = start_of(msg, self.tracker, self._outputs.pose_axes,
-                                        self.config.frame_id, now_ns,
-                                        self._published_ns - self._max_gap_ns)
-        except Refused as refused:
-            account.reject(refused.reason)
-            self.report('initialpose', f'initialpose: {refused}')
-            return
-        account.accept(stamp_ns)
-        self._restart(belief, stamp_ns, 'initialpose', stamp_ns)
-        self._publish(self.tracker.estimate())
-
-    @guarded
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._restart(None, None, '~/reset')
-        response.success, response.message = True, 'the prior holds at the next measurement'
-        return response
-
-    @guarded
-    def _on_global(self, _: Empty.Request, response: Empty.Response) -> Empty.Response:
-        name = interface.GLOBAL.name
-        try:
-            belief = uniform_of(self.tracker.filter, f'{name}: expected a grid whose uniform '
-                                'belief fits')
-        except ConfigError as error:
-            self.report(name, str(error))
-        else:
-            self._restart(belief, None, name)
-        return response
-
-    @guarded
     def _on_clock_set(self, clock: ClockSet) -> None:
         self.get_logger().info(clock.text)
         if not self.is_made or clock.goes_on and not clock.by_ns:
@@ -185,7 +147,7 @@ class FilterNode(ManagedNode):
                 if self.inbox.wants_a_turn:
                     self._wake.trigger()
             if estimate is not None:
-                self._publish(estimate)
+                self.tell(estimate)
         self._took = time.monotonic() - began
         self.see_whether_lost()
 
@@ -208,7 +170,7 @@ class FilterNode(ManagedNode):
             self.skipped += 1
             return
         with self.watch.timing('forecast'):
-            self._publish(self.tracker.forecast(now_ns))
+            self.tell(self.tracker.forecast(now_ns))
         took = FORECASTS_TAKE * (time.monotonic() - began)
         if took * self.config.publish.rate > 1:
             self._next_forecast = began + took
@@ -270,7 +232,8 @@ class FilterNode(ManagedNode):
 
     # What goes out
 
-    def _publish(self, estimate: Estimate[Any]) -> None:
+    @guarded
+    def tell(self, estimate: Estimate[Any]) -> None:
         """Publish an estimate, but never with an older stamp than the last."""
         restarts, now_ns = self.restarts, self._now()
         # to ask for the time may show that the clock was set, and begin anew
@@ -334,11 +297,9 @@ class FilterNode(ManagedNode):
         self._warm_up()
         Listener(self, config, filter_, self.accounts, self.inbox, self._time, self._refuses,
                  self._on_arrival)
-        start = interface.INITIAL_POSE
-        self.create_subscription(start.type, start.name, self._on_initial_pose, start.qos)
-        for service, callback in ((interface.RESET, self._on_reset),
-                                  (interface.GLOBAL, self._on_global)):
-            self.create_service(service.type, service.name, callback)
+        self._starting = Starting(self, self.tracker, self.accounts.initial_pose, self._restart,
+                                  self._outputs.pose_axes, config.frame_id, self._now,
+                                  lambda: self._published_ns - self._max_gap_ns)
         self._let_work()
         self._resuming = Resuming(self, self._keeper, self._recall, lambda: self._published_ns,
                                   self._now, config.checkpoint_period)
@@ -361,15 +322,11 @@ class FilterNode(ManagedNode):
         if isinstance(filter_, ActiveGridFilter):
             # its cost is that of a belief that is not known yet
             return []
-        step = filter_.time_step_ns / NANOSECONDS
-        needed = []
-        for k in range(3):
-            began = time.perf_counter()
-            filter_.predict(self.tracker.prior, k * filter_.time_step_ns,
-                            (k + 1) * filter_.time_step_ns)
-            needed.append(time.perf_counter() - began)
-        return [] if min(needed) < step / 2 else [
-            f'kernel.time_step: a step of {step:g} s takes {min(needed):.2g} s to compute: the '
+        step_ns = filter_.time_step_ns
+        step, needed = step_ns / NANOSECONDS, shortest(
+            lambda k: filter_.predict(self.tracker.prior, k * step_ns, (k + 1) * step_ns))
+        return [] if needed < step / 2 else [
+            f'kernel.time_step: a step of {step:g} s takes {needed:.2g} s to compute: the '
             'filter cannot keep up; take a longer step or a coarser grid']
 
     def _let_work(self) -> None:

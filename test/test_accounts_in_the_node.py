@@ -75,7 +75,7 @@ def test_a_full_queue_before_a_full_backlog_is_forgotten_by_a_reset_too(graph):
     node.drain()
     for k in range(10, 20):
         account = put(node, T + k * MS, HERE)
-    assert answer(node._on_reset).success
+    assert answer(node._starting._on_reset).success
     assert not node.inbox.has_work and node.tracker.stamp_ns is None
     assert counts(account) == (20, 20, 0, {})
 
@@ -88,7 +88,7 @@ def test_after_a_reset_the_node_is_not_behind(graph):
     node._work()
     node._work()
     assert node.tracker.backlog and node.inbox.behind_since is not None
-    answer(node._on_reset)
+    answer(node._starting._on_reset)
     assert node.facts().behind == 0.0
 
 
@@ -184,7 +184,7 @@ def test_a_clock_that_is_set_during_the_work_moves_no_pose_ahead(graph, monkeypa
     graph.until(lambda: node._published_ns > now_ns, 'a forecast')
     estimate = node.tracker.estimate()
     shift[0] = 60 * SECOND
-    node._publish(estimate)
+    node.tell(estimate)
     assert node.restarts == 1 and node._published_ns == -1
 
 

@@ -175,7 +175,7 @@ def test_a_control_without_a_header_holds_from_its_arrival(graph):
     before = time.time_ns()
     rig.send('control', message)
     settled(rig, 0, 1)
-    [(stamp_ns, values)] = rig.node.tracker._steered
+    [(stamp_ns, values)] = rig.node.tracker.memory().controls
     assert before <= stamp_ns <= time.time_ns() and values == (1.0, 0.5)
 
 
@@ -245,9 +245,9 @@ def test_a_reset_and_a_clock_that_jumps_back_forget_the_controls(graph):
         rig.tick(T)
         rig.send('control', twist(T, (1.0, 0.0)))
         settled(rig, 0, count)
-        assert len(rig.node.tracker._steered) == 1
+        assert len(rig.node.tracker.memory().controls) == 1
         forget()
-        assert not rig.node.tracker._steered
+        assert not rig.node.tracker.memory().controls
 
 
 def test_a_control_before_the_first_clock_is_refused(graph):

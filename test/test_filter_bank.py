@@ -1,5 +1,7 @@
 """Many targets in one process: each has what a filter node has, and their work is one."""
 
+import time
+
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 import numpy as np
 from pif_ros import interface, timekeeper
@@ -7,6 +9,7 @@ from pif_ros.config import build_tracker, Config, ConfigError
 from pif_ros.core.batch import Batch
 from pif_ros.core.estimates import Measurement
 from pif_ros.core.tracker import Tracker
+from pif_ros.diagnostics import timing_status
 from pif_ros.filter_bank import FilterBank
 import pytest
 from ros import DEEP, nanoseconds, PLANE, SECOND, stamp_into, write_parameters
@@ -339,6 +342,25 @@ def test_a_target_that_is_lost_says_so(graph, make):
         work(bank)
         was_lost.append(target.tracker.newest.watch.lost)
     assert True in was_lost and said.count('lost') == 1
+
+
+def test_a_target_tells_how_long_the_work_for_all_takes_and_what_was_skipped(make):
+    bank = make({**PLANE, 'publish.rate': 1000.0}, ['alpha', 'bravo'])
+    now_ns = time.time_ns()
+    for name in bank.targets:
+        measure(bank, name, now_ns, 0.5, -0.5)
+    work(bank)
+    foresee, group = bank._foresee, (1000.0, False)
+    bank._foresee = lambda asked: time.sleep(0.005) or foresee(asked)
+    for _ in range(2):
+        # the second is too soon after one that took five of its periods
+        bank._on_timer(group, list(bank.targets.values()))
+    for target in bank.targets.values():
+        values = timing_status(target.facts()).values
+        assert all(f'{kind}, ms (median, longest)' in values
+                   for kind in ('work', 'predict', 'correct', 'forecast', 'publish'))
+        assert values['poses skipped'] == '1'
+        assert float(values['forecast, ms (median, longest)'].split(', ')[1]) >= 5
 
 
 def test_no_target_is_predicted_to_a_clock_that_was_set_before_it_has_seen_that(

@@ -44,6 +44,7 @@ LAYERS = [
     ['core.filters'],
     ['core.guard'],
     ['core.estimates', 'core.batch', 'core.rivals.passage', 'core.continuous.increments'],
+    ['core.steering'],
     ['core.tracker'],
     ['core.smoothing', 'core.bank', 'core.rivals.cloud', 'core.rivals.gaussian',
      'core.continuous.path', 'core.continuous.splitting', 'core.continuous.yau'],

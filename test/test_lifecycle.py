@@ -157,6 +157,6 @@ def test_what_was_made_is_let_go_of_though_its_end_fails(graph):
 def test_while_it_is_inactive_nobody_sets_it_down(graph):
     node = graph.filter_node(PLANE)
     node.trigger_deactivate()
-    node._on_initial_pose(PoseWithCovarianceStamped())
+    node._starting._on_initial_pose(PoseWithCovarianceStamped())
     account = node.accounts.initial_pose
     assert (account.received, account.rejected) == (1, {'inactive': 1}) and not node.restarts

@@ -10,7 +10,7 @@ from pif_ros.core.estimates import Rejection
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
-from pif_ros.core.tracker import MOST_CONTROLS
+from pif_ros.core.steering import MOST_CONTROLS
 from pif_ros.reference import filled, tables
 import pytest
 

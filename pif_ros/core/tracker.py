@@ -14,14 +14,11 @@ from dataclasses import replace
 import math
 from typing import Any, Generic
 
-from pif_ros.core.controls import Controls
 from pif_ros.core.estimates import (Correction, CorrectionFailed, Estimate, Measurement, Memory,
                                     Rejection)
 from pif_ros.core.filters import Belief, Filter, NANOSECONDS
 from pif_ros.core.guard import Guard
-
-#: Controls kept at most: a quarter of an hour of a hundred a second, without a measurement.
-MOST_CONTROLS = 100_000
+from pif_ros.core.steering import Steering
 
 
 class Tracker(Generic[Belief]):
@@ -49,6 +46,7 @@ class Tracker(Generic[Belief]):
         self._history_ns = round(history * NANOSECONDS)
         self._hold_ns = round(hold * NANOSECONDS)
         self._memory = memory
+        self._steering = Steering(filter_.model.inputs, self._hold_ns)
         self.reset()
 
     def reset(self, belief: Belief | None = None, stamp_ns: int | None = None,
@@ -59,8 +57,8 @@ class Tracker(Generic[Belief]):
         steered_ns: a stamp within the history; the controls that may hold there, and later ones,
         are kept.  Of what held before the history, it is not known any more.
         """
-        kept = [] if steered_ns is None or steered_ns < self._oldest_ns() else [
-            control for control in self._steered if control[0] >= steered_ns - self._hold_ns]
+        self._steering.replace(() if steered_ns is None or steered_ns < self._oldest_ns()
+                               else self._steering.since(steered_ns))
         self._anchor = Estimate(stamp_ns, self.prior if belief is None else belief)
         self._anchored: Measurement | None = None
         self._timeline: list[Measurement] = []
@@ -70,8 +68,6 @@ class Tracker(Generic[Belief]):
         self._unwatched: list[tuple[Belief, Measurement]] = []
         self._largest = 0
         self._rung: tuple[Estimate[Belief], int, Belief] | None = None
-        self._steered: list[tuple[int, tuple[float, ...]]] = kept
-        self._controls: Controls | None = None
 
     def set_clock(self, by_ns: int, belief: Belief) -> None:
         """
@@ -83,16 +79,16 @@ class Tracker(Generic[Belief]):
         try:
             self.look()
         finally:
-            newest, steered = self.newest, self._steered
+            newest, steered = self.newest, self._steering.taken
             self.reset(belief)
             if newest.stamp_ns is not None:
                 self._anchor = replace(newest, stamp_ns=newest.stamp_ns + by_ns, belief=belief)
-            self._steered = [(stamp_ns + by_ns, value) for stamp_ns, value in steered]
+            self._steering.replace((stamp_ns + by_ns, value) for stamp_ns, value in steered)
 
     def memory(self) -> Memory[Belief]:
         """Return what decides the future, at the cost of a list: no belief is copied."""
         self.look()
-        return Memory(self._anchor, self._anchored, tuple(self._timeline), tuple(self._steered))
+        return Memory(self._anchor, self._anchored, tuple(self._timeline), self._steering.taken)
 
     def recall(self, memory: Memory[Belief]) -> None:
         """
@@ -102,7 +98,8 @@ class Tracker(Generic[Belief]):
         """
         self.reset()
         self._anchor, self._anchored = memory.anchor, memory.anchored
-        self._timeline, self._steered = list(memory.measurements), list(memory.controls)
+        self._timeline = list(memory.measurements)
+        self._steering.replace(memory.controls)
 
     @property
     def stamp_ns(self) -> int | None:
@@ -154,22 +151,9 @@ class Tracker(Generic[Belief]):
         before that, and it may still hold then.  Raises ValueError where the values are not one
         for each input of the model.
         """
-        inputs = self.filter.model.inputs
-        # + 0.0: there is one zero only
-        value = tuple(float(v) + 0.0 for v in values)
-        if len(value) != len(inputs) or not inputs or not all(map(math.isfinite, value)):
-            raise ValueError(f'values: expected {len(inputs)} finite numbers '
-                             f'({", ".join(inputs) or "no inputs"}), got {list(value)}')
-        if stamp_ns < self._earliest_control_ns():
-            return Rejection.TOO_LATE
-        place = bisect.bisect_left(self._steered, stamp_ns, key=_stamp)
-        same = place < len(self._steered) and self._steered[place][0] == stamp_ns
-        if same and value <= self._steered[place][1]:
-            return Rejection.DUPLICATE
-        if not same and len(self._steered) >= MOST_CONTROLS:
-            return Rejection.TOO_MANY
-        self._steered[place:place + same] = [(stamp_ns, value)]
-        self._controls = None
+        rejection = self._steering.put(stamp_ns, values, self._earliest_control_ns())
+        if rejection is not None:
+            return rejection
         # a posterior at the stamp itself was not moved by what holds from there on
         self._undo(bisect.bisect_right(
             self._posteriors, stamp_ns, key=lambda e: e.stamp_ns or 0))
@@ -255,7 +239,7 @@ class Tracker(Generic[Belief]):
         if before.stamp_ns is None or before.stamp_ns == stamp_ns:
             return before.belief
         belief, whole, last = self._started(before, stamp_ns)
-        controls = self._known_controls()
+        controls = self._steering.controls()
         belief = self.filter.predict(belief, whole, last, controls)
         self._rung = (before, (last - before.stamp_ns) // self.filter.time_step_ns, belief)
         return self.filter.predict(belief, last, stamp_ns, controls)
@@ -283,18 +267,12 @@ class Tracker(Generic[Belief]):
             if (before.stamp_ns or 0) + steps * self.filter.time_step_ns > stamp_ns:
                 self._rung = None
 
-    def _known_controls(self) -> Controls:
-        """Return the controls that were taken, as the filter wants them."""
-        if self._controls is None:
-            stamps, values = zip(*self._steered) if self._steered else ((), ())
-            self._controls = Controls(stamps, values, self._hold_ns)
-        return self._controls
-
     def _oldest_ns(self) -> float:
         """Return how far back the history reaches."""
         if self._timeline:
             return self._timeline[-1].stamp_ns - self._history_ns
-        return self._steered[-1][0] - self._history_ns if self._steered else -math.inf
+        newest_ns = self._steering.newest_ns
+        return -math.inf if newest_ns is None else newest_ns - self._history_ns
 
     def _earliest_control_ns(self) -> float:
         """Return the stamp before which a control is too late."""
@@ -308,11 +286,7 @@ class Tracker(Generic[Belief]):
         start: Any = self._anchor.stamp_ns
         if start is None:
             start = min([self._oldest_ns(), *(m.stamp_ns for m in self._timeline[:1])])
-        # the last one before the start holds there
-        count = bisect.bisect_right(self._steered, start, key=_stamp) - 1
-        if count > 0:
-            del self._steered[:count]
-            self._controls = None
+        self._steering.forget_before(start)
 
     def _forget(self) -> None:
         """Let go of what lies beyond the history; the last belief before it stays as anchor."""
@@ -338,7 +312,3 @@ class Tracker(Generic[Belief]):
             if newer and left < 0:
                 return count - newer
         return 0
-
-
-def _stamp(control: tuple[int, tuple[float, ...]]) -> int:
-    return control[0]

@@ -125,6 +125,7 @@ def test_a_forecast_has_the_same_bits_asked_for_in_one_go_or_after_others(asked)
 
 def test_a_forecast_takes_no_step_twice():
     class Counting:
+        model = FILTER.model
         time_step_ns = FILTER.time_step_ns
         steps = 0
 

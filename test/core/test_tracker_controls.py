@@ -3,7 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
-from pif_ros.core import tracker as module
+from pif_ros.core import steering
 from pif_ros.core.controls import Controls
 from pif_ros.core.estimates import Measurement, Rejection
 from pif_ros.core.rivals import ExtendedKalmanFilter
@@ -208,17 +208,17 @@ def test_what_is_kept_is_what_the_history_still_needs():
     for k in range(1000):
         tracker.control(k * SECOND // 10, (1.0, 0.0))
     # before the first measurement: of the last half second, and the one that holds at its begin
-    assert len(tracker._steered) == 6
+    assert len(tracker.memory().controls) == 6
     for k in range(1000, 2000):
         tracker.control(k * SECOND // 10, (1.0, 0.0))
         tracker.observe(Measurement(k * SECOND // 10, 'place', (0.1, 0.2)))
         tracker.estimate()
     # the anchor is the measurement before the last half second
-    assert len(tracker._steered) == 7
+    assert len(tracker.memory().controls) == 7
 
 
 def test_there_is_a_most_that_is_kept(monkeypatch):
-    monkeypatch.setattr(module, 'MOST_CONTROLS', 3)
+    monkeypatch.setattr(steering, 'MOST_CONTROLS', 3)
     tracker = tracker_of()
     tracker.observe(Measurement(0, 'place', (0.1, 0.2)))
     answers = [tracker.control(k, (1.0, 0.0)) for k in range(4)]

@@ -13,7 +13,8 @@ from pif_ros.core.lost import Watch
 from pif_ros.core.saved.beliefs import (Array, Arrays, belief_arrays, belief_forms, belief_from,
                                         check, COMPONENTS, Form, Forms, MANY, optional, REAL,
                                         under, WHOLE, within)
-from pif_ros.core.tracker import MOST_CONTROLS, Tracker
+from pif_ros.core.steering import MOST_CONTROLS
+from pif_ros.core.tracker import Tracker
 
 
 def arrays_of(tracker: Tracker[Any]) -> Arrays:
