@@ -23,7 +23,8 @@ class Steering:
 
     def __init__(self, inputs: Sequence[str], hold_ns: int) -> None:
         self._inputs, self._hold_ns = inputs, hold_ns
-        self.replace(())
+        self._taken: list[tuple[int, Value]] = []
+        self._controls: Controls | None = None
 
     @property
     def taken(self) -> tuple[tuple[int, Value], ...]:
@@ -68,8 +69,7 @@ class Steering:
 
     def replace(self, controls: Iterable[tuple[int, Value]]) -> None:
         """Have these instead."""
-        self._taken = list(controls)
-        self._controls: Controls | None = None
+        self._taken, self._controls = list(controls), None
 
     def since(self, stamp_ns: int) -> list[tuple[int, Value]]:
         """Return those that may hold at a stamp, and later ones."""
