@@ -8,7 +8,7 @@ from typing import Any
 from pif_ros.config.filters import OF_A_PATH, uniform_of
 from pif_ros.config.kinds import ConfigError, named
 from pif_ros.config.table import Config
-from pif_ros.core.clutter import Clutter
+from pif_ros.core.clutter import clutter_of
 from pif_ros.core.filters import Filter
 from pif_ros.core.grid import Grid
 from pif_ros.core.guard import Gate, Guard, Recovery
@@ -44,7 +44,7 @@ def _belief(config: Config, filter_: Filter[Any], prior: Any) -> Any:
 def _gate(config: Config, name: str, sensor: Sensor, grid: Grid) -> Gate:
     source, prefix = config.measurements.sources[name], f'measurements.{name}'
     with named(f'{prefix}.outlier_probability'):
-        clutter = Clutter.spanning(sensor, grid) if source.outlier_probability else None
+        clutter = clutter_of(sensor, grid) if source.outlier_probability else None
     with named(f'{prefix}.gate'):
         return Gate(source.gate.tail_probability, source.gate.max_consecutive_rejections,
                     source.outlier_probability, clutter)

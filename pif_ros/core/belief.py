@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+import itertools
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,9 @@ from pif_ros.core.grid import Grid
 from pif_ros.core.modes import densest, Mode, modes, MOST, NEARLY_ALL, Pieces, SHARE
 
 Array = NDArray[np.float64]
+
+#: A density on a circle is summed over so many turns to either side at most: a wider one is flat.
+TURNS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +41,8 @@ class GridBelief:
         """
         Return a Gaussian, mean (n,) and covariance (n, n), cut at the edges of the grid.
 
-        A standard deviation below half a cell is widened to it, since a grid cannot hold less.
         Raises ValueError where the mean lies off the grid or the covariance is not positive
-        definite.
+        definite.  As for gaussian_on, a grid cannot hold less than half a cell.
         """
         mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
         if mean.shape != (grid.ndim,) or not np.all(np.isfinite(mean)):
@@ -47,11 +50,7 @@ class GridBelief:
         if not np.all(grid.contains(mean)):
             raise ValueError(f'mean: expected a point on the grid, got {mean.tolist()}')
         check_covariance('covariance', covariance, grid.ndim)
-        narrow = np.maximum((grid.spacing / 2) ** 2 - np.diag(covariance), 0.0)
-        precision = np.linalg.inv(covariance + np.diag(narrow))
-        d = grid.wrap(grid.points - mean[:, None])
-        exponent = -0.5 * np.einsum('ik,ij,jk->k', d, precision, d)
-        return cls(grid, np.exp(exponent - exponent.max()).reshape(grid.shape)).normalised()
+        return cls(grid, gaussian_on(grid, mean, covariance)).normalised()
 
     @cached_property
     def mass(self) -> float:
@@ -155,6 +154,34 @@ class GridBelief:
         """Return the share of the mass in the outermost cells of the axes that are not circles."""
         inner = tuple(slice(None) if round_ else slice(1, -1) for round_ in self.grid.periodic)
         return max(1 - float(self.density[inner].sum() / self.density.sum()), 0.0)
+
+
+def gaussian_on(grid: Grid, mean: Array, covariance: Array) -> Array:
+    """
+    Return a Gaussian's density at the centres of a grid's cells, grid.shape.
+
+    On a periodic axis it is the sum over all turns.  A standard deviation below half a cell, in
+    whatever direction, is widened to it, or the centres would miss it.
+    """
+    cell = np.outer(grid.spacing, grid.spacing)
+    widths, turned = np.linalg.eigh(covariance / cell)
+    P = (turned * np.maximum(widths, 0.25)) @ turned.T * cell
+    precision, density = np.linalg.inv(P), np.zeros(grid.size)
+    nearest = grid.wrap(grid.points - mean[:, None])
+    for turn in _turns(grid, np.sqrt(np.diag(P))):
+        d = nearest + turn
+        density += np.exp(-0.5 * np.einsum('ik,ij,jk->k', d, precision, d))
+    return density.reshape(grid.shape) / np.sqrt(np.linalg.det(2 * np.pi * P))
+
+
+def _turns(grid: Grid, deviations: Array) -> list[Array]:
+    """Return the shifts (n, 1) by whole periods that a density so wide reaches."""
+    steps: list[Array] = [np.zeros(1)] * grid.ndim
+    for i in np.flatnonzero(grid.periodic):
+        period = grid.upper[i] - grid.lower[i]
+        count = min(int(7 * deviations[i] / period + 0.5), TURNS)
+        steps[i] = period * np.arange(-count, count + 1.0)
+    return [np.array(turn)[:, None] for turn in itertools.product(*steps)]
 
 
 def check_covariance(name: str, covariance: Array, size: int) -> None:

@@ -12,8 +12,9 @@ from pif_ros.core.models import Sensor
 
 Array = NDArray[np.float64]
 
-#: Cells at most, out of all of the grid's, at which a sensor's span is looked for.
-LOOKED_AT = 1 << 20
+#: Cells at most, out of all of the grid's, at which a sensor's span is looked for; and those
+#: where that is to be done at every measurement.
+LOOKED_AT, LOOKED_AT_AGAIN = 1 << 20, 1 << 12
 
 
 @dataclass(frozen=True)
@@ -32,9 +33,10 @@ class Clutter:
 
     @classmethod
     @np.errstate(all='ignore')
-    def spanning(cls, sensor: Sensor, grid: Grid, t: float = 0.0) -> Clutter:
+    def spanning(cls, sensor: Sensor, grid: Grid, t: float = 0.0,
+                 most: int = LOOKED_AT) -> Clutter:
         """Return that of a sensor on a grid; ValueError where it says nothing there."""
-        h = np.asarray(sensor.function(_coarsened(grid, sensor.states), t), dtype=float)
+        h = np.asarray(sensor.function(_coarsened(grid, sensor.states, most), t), dtype=float)
         h = np.where(np.isfinite(h), h, np.nan)
         if np.isnan(h).all(axis=1).any():
             raise ValueError('sensor: expected one that says something on the grid, got one that '
@@ -43,6 +45,10 @@ class Clutter:
         width = high - low + 6 * np.sqrt(sensor.noise(t).diagonal())
         width[np.flatnonzero(sensor.angular)] = np.inf
         return cls(tuple(((low + high) / 2).tolist()), tuple(width.tolist()))
+
+    def at(self, t: float) -> Clutter:
+        """Return that at a time: the same."""
+        return self
 
     @np.errstate(over='ignore')
     def log_density(self, y: ArrayLike) -> float:
@@ -54,10 +60,29 @@ class Clutter:
                      - np.log(2 * np.pi) * (~line).sum())
 
 
-def _coarsened(grid: Grid, seen: Sequence[int] | None) -> Array:
+@dataclass(frozen=True, eq=False)
+class MovingClutter:
+    """That of a sensor which changes with time."""
+
+    sensor: Sensor
+    grid: Grid
+
+    def at(self, t: float) -> Clutter:
+        """Return that at a time; ValueError where the sensor says nothing then."""
+        return Clutter.spanning(self.sensor, self.grid, t, LOOKED_AT_AGAIN)
+
+
+def clutter_of(sensor: Sensor, grid: Grid) -> Clutter | MovingClutter:
+    """Return the clutter of a sensor on a grid; ValueError where it says nothing there."""
+    if sensor.time_dependent or callable(sensor.covariance):
+        return MovingClutter(sensor, grid)
+    return Clutter.spanning(sensor, grid)
+
+
+def _coarsened(grid: Grid, seen: Sequence[int] | None, looked_at: int) -> Array:
     """Return points (n, N) all over a grid, its edges among them: one of what is not seen."""
     axes = range(grid.ndim) if seen is None else seen
-    most = max(int(LOOKED_AT**(1 / max(len(axes), 1))), 2)
+    most = max(int(looked_at**(1 / max(len(axes), 1))), 2)
     lines = [np.linspace(low, high, min(count + 1, most)) if i in axes else [(low + high) / 2]
              for i, (low, high, count) in enumerate(zip(grid.lower, grid.upper, grid.shape))]
     return np.stack(np.meshgrid(*lines, indexing='ij')).reshape(grid.ndim, -1)

@@ -223,7 +223,10 @@ class DiracFeynmanFilter:
 
     def predictive(self, belief: GridBelief, sensor: str, at_ns: int) -> Predictive:
         """Return what is expected of a sensor: the density of its measurement, mass 1."""
-        t = at_ns / NANOSECONDS
+        t, seen = at_ns / NANOSECONDS, self.sensors[sensor].states
+        if seen and len(seen) < self.grid.ndim:
+            return Predictive.of_marginal(self.sensors[sensor], belief.marginal(seen), seen,
+                                          self.grid, t, self.average_cells)
         width = self._likelihoods[sensor].widths if self.average_cells else None
         return Predictive.of_cells(self.sensors[sensor], belief.density.ravel(), self.grid.points,
                                    self.grid.spacing, t, self.average_cells, width)

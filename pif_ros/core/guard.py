@@ -13,8 +13,8 @@ import math
 from typing import Any, cast, Generic
 
 import numpy as np
-from pif_ros.core.clutter import Clutter
-from pif_ros.core.filters import Belief, Expecting, Filter
+from pif_ros.core.clutter import Clutter, MovingClutter
+from pif_ros.core.filters import Belief, Expecting, Filter, NANOSECONDS
 from pif_ros.core.lost import Alarm, Watch
 from pif_ros.core.predictive import Predictive
 
@@ -36,7 +36,7 @@ class Gate:
     tail_probability: float = 0.0
     max_consecutive_rejections: int = 5
     outlier_probability: float = 0.0
-    clutter: Clutter | None = None
+    clutter: Clutter | MovingClutter | None = None
 
     def __post_init__(self) -> None:
         """Refuse what makes no gate."""
@@ -53,6 +53,11 @@ class Gate:
         if self.max_consecutive_rejections < 1:
             raise ValueError('max_consecutive_rejections: expected at least 1, '
                              f'got {self.max_consecutive_rejections}')
+
+    def log_clutter(self, y: tuple[float, ...], at_ns: int) -> float:
+        """Return the log density of clutter at a measurement."""
+        assert self.clutter is not None
+        return self.clutter.at(at_ns / NANOSECONDS).log_density(y)
 
     def tail(self, expected: Predictive, y: tuple[float, ...]) -> float:
         """
@@ -154,7 +159,7 @@ class Guard:
             gated = gate.tail(expected, y) < gate.tail_probability
         watch = watch.counted(source, rejections)
         if gated:
-            log_p = _log_evidence(expected, y, gate, belief.mass)
+            log_p = _log_evidence(expected, y, at_ns, gate, belief.mass)
             return Outcome(belief, log_p, watch, tail, True, recovered)
         return Outcome(*_robust(filter_, belief, y, source, at_ns, gate), watch, tail, False,
                        recovered)
@@ -184,9 +189,8 @@ def _robust(filter_: Filter[Belief], belief: Belief, y: tuple[float, ...], sourc
     o = gate.outlier_probability
     if not (o and belief.mass > 0):
         return corrected, log_p
-    assert gate.clutter is not None
     # what has left the grid says nothing, neither of y nor of clutter
-    log_u = gate.clutter.log_density(y) + math.log(o * belief.mass)
+    log_u = gate.log_clutter(y, at_ns) + math.log(o * belief.mass)
     log_evidence = float(np.logaddexp(math.log1p(-o) + log_p, log_u))
     share = math.exp(log_u - log_evidence) if log_evidence > -math.inf else 0.0
     if share < NEGLIGIBLE:
@@ -195,13 +199,13 @@ def _robust(filter_: Filter[Belief], belief: Belief, y: tuple[float, ...], sourc
     return mixed, log_evidence
 
 
-def _log_evidence(expected: Predictive, y: tuple[float, ...], gate: Gate, mass: float) -> float:
+def _log_evidence(expected: Predictive, y: tuple[float, ...], at_ns: int, gate: Gate,
+                  mass: float) -> float:
     """Return log p(y), clutter included, of what was not used; what has left says nothing."""
     if not mass > 0:
         return -math.inf
     log_p, o = expected.log_density(y), gate.outlier_probability
     if o:
-        assert gate.clutter is not None
         log_p = float(np.logaddexp(math.log1p(-o) + log_p,
-                                   math.log(o) + gate.clutter.log_density(y)))
+                                   math.log(o) + gate.log_clutter(y, at_ns)))
     return log_p + math.log(mass)

@@ -187,24 +187,29 @@ class GridLikelihood:
         return average + _log_constant(whiten)
 
 
-@np.errstate(over='ignore', invalid='ignore')
 def cell_widths(sensor: Sensor, centres: Array, spacing: Array, t: float) -> Array:
-    """
-    Return how far cells (n, N) reach in expected measurements, (N,), in standard deviations.
+    """Return how far cells reach along the axis on which they reach furthest, (N,)."""
+    return widths_along(sensor, centres, spacing, t).max(axis=0)
 
-    The widest of the axes on which there is a spacing, (n,) or (n, N).  A half of a cell at whose
+
+@np.errstate(over='ignore', invalid='ignore')
+def widths_along(sensor: Sensor, centres: Array, spacing: Array, t: float) -> Array:
+    """
+    Return how far cells (n, N) reach in expected measurements, (n, N), in standard deviations.
+
+    Along each of the axes on which there is a spacing, (n,) or (n, N).  A half of a cell at whose
     edge the function is undefined counts for as much as the other; 0 where both are.
     """
     whiten, centre = _whitening(sensor, t), sensor.function(centres, t)
-    width = np.zeros(centres.shape[1])
+    widths = np.zeros(centres.shape)
     for axis in np.flatnonzero(spacing.reshape(len(spacing), -1).any(axis=1)):
         half = np.zeros((len(spacing), spacing.size // len(spacing)))
         half[axis] = spacing[axis] / 2
         # edge to centre to edge, since a sensor may turn back within a cell
         down, up = (_lengths(whiten @ sensor.difference(
             sensor.function(centres + side * half, t), centre)) for side in (-1, 1))
-        np.maximum(width, _or_else(down, up) + _or_else(up, down), out=width)
-    return width
+        widths[axis] = _or_else(down, up) + _or_else(up, down)
+    return widths
 
 
 def _or_else(a: Array, b: Array) -> Array:

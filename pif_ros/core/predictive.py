@@ -7,15 +7,18 @@ a measurement [Sensors, Eq. 27] as a function of it.  Nothing is said of its sha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pif_ros.core.likelihood import cell_widths, RESOLVED, SIGNIFICANT
+from pif_ros.core.belief import GridBelief
+from pif_ros.core.grid import Grid
+from pif_ros.core.likelihood import cell_widths, RESOLVED, SIGNIFICANT, widths_along
 from pif_ros.core.models import Sensor
-from pif_ros.core.tails import REACH, tail
+from pif_ros.core.tails import REACH, tail, unrolled
 from scipy import special
 
 Array = NDArray[np.float64]
@@ -23,8 +26,10 @@ Array = NDArray[np.float64]
 #: Points with less than this share of the heaviest one's weight are not looked at.
 NEGLIGIBLE = 1e-12
 #: Cells that are wider than a sensor resolves are cut into points so many standard deviations
-#: apart, a Gaussian sampled at which sums to 0.03 %, but into this many in all at most.
+#: apart, a Gaussian sampled at which sums to 0.03 %, but into so many in all at most.
 APART, MOST_POINTS = 1.5, 1 << 16
+#: The share of the cells, the narrowest ones, that says how wide such points are made.
+NARROW = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +48,18 @@ class Predictive:
 
     @classmethod
     @np.errstate(all='ignore')
-    def of_points(cls, sensor: Sensor, weights: Array, points: Array, t: float) -> Predictive:
-        """Return that of states (n, N) with weights (N,); where h is undefined it has none."""
+    def of_points(cls, sensor: Sensor, weights: Array, points: Array, t: float,
+                  covariance: Array | float = 0.0) -> Predictive:
+        """
+        Return that of states (n, N) with weights (N,); where h is undefined it has none.
+
+        covariance: what is added to the sensor's own, (m, m).
+        """
         expected = np.asarray(sensor.function(points, t), dtype=float)
         sound = np.isfinite(expected).all(axis=0) & (
             weights > NEGLIGIBLE * weights.max(initial=0.0))
         w = weights[sound]
-        return cls(sensor, w / w.sum(), expected[:, sound], sensor.noise(t))
+        return cls(sensor, w / w.sum(), expected[:, sound], sensor.noise(t) + covariance)
 
     @classmethod
     @np.errstate(all='ignore')
@@ -69,9 +79,21 @@ class Predictive:
             width = cell_widths(sensor, x, cells, t) if width is None else width[keep]
             wide = (width > RESOLVED) & (w > SIGNIFICANT * w.max())
             if wide.any():
-                w, x = _cut(w, x, np.broadcast_to(cells.reshape(len(x), -1), x.shape), wide,
-                            float(width[wide].max()))
+                cells = np.broadcast_to(cells.reshape(len(x), -1), x.shape)[:, wide]
+                *finer, covariance = _cut(sensor, w[wide], x[:, wide], cells, t)
+                w, x = (np.concatenate([a, b], axis=-1)
+                        for a, b in zip((w[~wide], x[:, ~wide]), finer))
+                return cls.of_points(sensor, w, x, t, covariance)
         return cls.of_points(sensor, w, x, t)
+
+    @classmethod
+    def of_marginal(cls, sensor: Sensor, marginal: GridBelief, seen: Sequence[int], grid: Grid,
+                    t: float, average: bool = True) -> Predictive:
+        """Return that of a belief over the states that a sensor sees, out of all of a grid's."""
+        box, spacing = np.array([grid.lower, grid.upper]), np.zeros(grid.ndim)
+        centres = np.repeat(box.mean(axis=0)[:, None], marginal.grid.size, axis=1)
+        centres[list(seen)], spacing[list(seen)] = marginal.grid.points, marginal.grid.spacing
+        return cls.of_cells(sensor, marginal.density.ravel(), centres, spacing, t, average)
 
     @classmethod
     def gaussian(cls, sensor: Sensor, expected: Array, covariance: Array) -> Predictive:
@@ -96,9 +118,9 @@ class Predictive:
         Whatever p is, it is uniform on [0, 1] for a y that is drawn from it.  A single Gaussian's
         is that of chi-square.  One or two numbers: on lattices of whitened y about the given one,
         to a few percent of its value, but where what is expected spreads over more than those
-        hold; more: by importance sampling with fixed numbers, to a quarter down to 1e-5, where
-        few points are expected; many are smoothed, so that it comes out too large.  0 beyond eight
-        standard deviations of all that is expected, and where nothing is.
+        hold; more, or two with an angle that may be any: by importance sampling with fixed
+        numbers, to a factor of two, a little too large where what is expected spreads far.  0
+        beyond eight standard deviations of all that is expected, and where nothing is.
         """
         if not self._is_sound:
             return 0.0
@@ -110,9 +132,23 @@ class Predictive:
             return float(special.chdtrc(len(v), np.square(v).sum()))
         if np.any((v.min(axis=1) > REACH) | (v.max(axis=1) < -REACH)):
             return 0.0
-        if not any(self.sensor.angular):
-            return tail(self.weights, v)
-        return tail(self.weights, v, 2 * np.pi * self._whiten[0, 0] if len(v) == 1 else math.inf)
+        if len(v) == 1:
+            return tail(self.weights, v, any(self.sensor.angular) * 2 * np.pi * self._whiten[0, 0])
+        if any(self.sensor.angular):
+            v, is_line = self._on_lines(y)
+            return tail(self.weights, v, 0.0 if is_line else math.inf)
+        return tail(self.weights, v)
+
+    def _on_lines(self, y: ArrayLike) -> tuple[Array, bool]:
+        """Return the same with angles unrolled, and whether each has a gap in which to cut it."""
+        difference = self.sensor.difference(self.expected, np.asarray(y, dtype=float)[:, None])
+        is_line = True
+        for i in np.flatnonzero(self.sensor.angular):
+            found = unrolled(difference[i], 2 * np.pi, 2 * REACH * math.sqrt(
+                self.covariance[i, i]))
+            is_line &= found is not None
+            difference[i] = difference[i] if found is None else found
+        return np.asarray(self._whiten @ difference, dtype=float), is_line
 
     def _around(self, y: ArrayLike) -> Array:
         """Return what is expected, as whitened differences from a measurement, (m, N)."""
@@ -138,16 +174,57 @@ class Predictive:
             return False
 
 
-def _cut(w: Array, x: Array, spacing: Array, wide: NDArray[np.bool_],
-         width: float) -> tuple[Array, Array]:
-    """Return weights and points with those of wide cells spread evenly over these."""
-    seen = np.flatnonzero(spacing.any(axis=1))
-    count = min(math.ceil(width / APART),
-                max(int((MOST_POINTS / wide.sum())**(1 / len(seen))), 1))
-    steps = (np.arange(count) + 0.5) / count - 0.5
-    inner = np.zeros((len(x), count**len(seen)))
-    inner[seen] = np.stack(np.meshgrid(*[steps] * len(seen), indexing='ij')).reshape(
-        len(seen), -1)
-    finer = (x[:, wide, None] + inner[:, None, :] * spacing[:, wide, None]).reshape(len(x), -1)
-    return (np.concatenate([w[~wide], np.repeat(w[wide] / inner.shape[1], inner.shape[1])]),
-            np.concatenate([x[:, ~wide], finer], axis=1))
+def _cut(sensor: Sensor, w: Array, x: Array, spacing: Array,
+         t: float) -> tuple[Array, Array, Array]:
+    """
+    Return weights and points that stand for wide cells (n, N), and a covariance (m, m).
+
+    That is 0 where the points are close enough.  Else they must be no comb: for a single number
+    they are strewn over the cells, and of more numbers each point is made a Gaussian.
+    """
+    wanted = np.maximum(np.ceil(widths_along(sensor, x, spacing, t).max(axis=1) / APART), 1)
+    counts = _affordable(wanted, MOST_POINTS / len(w))
+    inner = np.stack(np.meshgrid(*[(np.arange(count) + 0.5) / count - 0.5 for count in counts],
+                                 indexing='ij')).reshape(len(x), 1, -1)
+    covariance = np.zeros((sensor.size,) * 2)
+    if sensor.size > 1:
+        for axis in np.flatnonzero(counts < wanted):
+            covariance += _blur(sensor, w, x, spacing, int(axis), t) / counts[axis]**2
+    elif np.any(counts < wanted):
+        rng = np.random.Generator(np.random.Philox(key=1))
+        strewn = rng.random((*x.shape, inner.shape[2])) - 0.5
+        inner = inner + strewn / counts[:, None, None]
+    finer = x[:, :, None] + inner * spacing[:, :, None]
+    share = inner.shape[2]
+    return np.repeat(w / share, share), finer.reshape(len(x), -1), covariance
+
+
+def _blur(sensor: Sensor, w: Array, x: Array, spacing: Array, axis: int, t: float) -> Array:
+    """Return a covariance (m, m) with which narrow cells in a row along an axis are flat."""
+    half = np.zeros(x.shape)
+    half[axis] = spacing[axis] / 2
+    d = np.nan_to_num(sensor.difference(sensor.function(x + half, t),
+                                        sensor.function(x - half, t)))
+    narrow = w * (_lengths(d) <= _lengths(d)[_ranked(w, _lengths(d), NARROW)])
+    # Gaussians of this variance in a row sum to 7 % of their mean
+    return np.asarray(d * narrow @ d.T / (6 * narrow.sum()), dtype=float)
+
+
+def _lengths(d: Array) -> Array:
+    """Return the lengths of vectors (m, N), (N,)."""
+    return np.sqrt(np.square(d).sum(axis=0))
+
+
+def _ranked(weights: Array, values: Array, share: float) -> int:
+    """Return which value has a share of the weights at or below it."""
+    order = np.argsort(values)
+    return int(order[np.searchsorted(np.cumsum(weights[order]), share * weights.sum())])
+
+
+def _affordable(counts: Array, most: float) -> Array:
+    """Return counts of which the product is no more than that, the small ones as they are."""
+    found, left = counts.copy(), max(most, 1.0)
+    for done, axis in enumerate(np.argsort(counts)):
+        found[axis] = min(counts[axis], max(int(left**(1 / (len(counts) - done)) + 1e-9), 1))
+        left /= found[axis]
+    return found

@@ -30,10 +30,17 @@ REACH = 8.0
 #: Clusters are so many standard deviations apart; where the span has more tiles of that size than
 #: the second, further.
 APART, MOST_TILES = 24.0, 1 << 16
-#: With how many axes tiles are looked at.
-MOST_AXES = 4
 #: What stands for more points in a sample, how many are drawn, and how widely, in deviations.
-CROWD, DRAWN, SCALES = 512, 1536, (1.0, 2.0, 4.0)
+CROWD, DRAWN, SCALES = 1024, 1536, (1.0, 2.0, 4.0)
+#: Points in a tile of this many deviations are one; a tile of more than the second has points that
+#: are too far apart for a density.
+TILE, LOOSE = 0.5, 1.5
+#: Of points further than this, in deviations, a sample's squares have no digits left.
+FARTHEST = 1e7
+#: So many points are put into tiles at most.
+MOST_TILED = 1 << 16
+#: How much larger tiles are at least where there are still too many.
+GROWTH = 1.3
 
 
 def tail(weights: Array, v: Array, turn: float = 0.0) -> float:
@@ -48,7 +55,8 @@ def tail(weights: Array, v: Array, turn: float = 0.0) -> float:
         return _sampled_tail(weights, v)
     if 0 < turn * fineness <= LARGEST_LATTICE:
         return _lattice_tail([_circle(weights, v, turn, fineness)])
-    v = _unrolled(v, turn) if turn else v
+    if turn and (line := unrolled(v[0], turn, 2 * REACH)) is not None:
+        v = line[None]
     if _cells(v, 1 / fineness) <= LARGEST_LATTICE:
         return _lattice_tail([_lattice(weights, v, np.full(len(v), 1 / fineness))])
     return _lattice_tail(list(_lattices(weights, v, 1 / fineness)))
@@ -115,13 +123,13 @@ def _coarse(v: Array, width: float) -> Array:
     return np.asarray(extent / count)
 
 
-def _unrolled(v: Array, turn: float) -> Array:
-    """Return points on a circle (1, N) on a line, on which no neighbours are a turn apart."""
-    x = np.sort(v[0])
+def unrolled(v: Array, turn: float, gap: float) -> Array | None:
+    """Return points (N,) of a circle on a line, cut where nothing is; None without such a gap."""
+    x = np.sort(v)
     gaps = np.diff(x, append=x[0] + turn)
     widest = int(np.argmax(gaps))
-    if gaps[widest] < 2 * REACH:
-        return v
+    if gaps[widest] < gap:
+        return None
     cut = x[widest] + gaps[widest] / 2
     return np.where(v > cut, v - turn, v) if cut > 0 else np.where(v < cut, v + turn, v)
 
@@ -187,34 +195,55 @@ def _sampled_tail(weights: Array, v: Array) -> float:
 
     Drawn from q, the mean over some scales s of sum_i w_i N(v_i, s^2), of which p is at most as
     many times as there are scales: so the tails are drawn often, and their weights are small.
-    Where a crowd stands for more points, each is as wide as suits a crowd of that spread within
-    its cluster, standard deviation * N^(-1 / (m + 4))  [Scott 1992, section 6.3].
     """
     m = len(v)
-    if len(weights) > CROWD:
-        width = CROWD**(-1 / (m + 4))
-        S = np.eye(m) + width**2 * _spread_within_clusters(weights, v)
-        v = v[:, _picked(weights, (np.arange(CROWD) + 0.5) / CROWD)]
-        weights = np.full(CROWD, 1 / CROWD)
-        v = np.asarray(np.linalg.solve(np.linalg.cholesky(S), v), dtype=float)
+    weights, v, covariance = _merged(weights, v.clip(-FARTHEST, FARTHEST))
+    v = np.asarray(np.linalg.solve(np.linalg.cholesky(np.eye(m) + covariance), v), dtype=float)
     comb, noise, scale = _draws(m)
     drawn = v[:, _picked(weights, comb)] + noise * scale
     drawn = np.concatenate([drawn, np.zeros((m, 1))], axis=1)
-    square = (np.square(drawn).sum(axis=0)[:, None] + np.square(v).sum(axis=0)
-              - 2 * drawn.T @ v)
-    p = np.exp(-0.5 * square) @ weights
-    q = sum(np.exp(-0.5 / s**2 * square[:-1]) @ weights / s**m for s in SCALES) / len(SCALES)
+    square = np.maximum(np.square(drawn).sum(axis=0)[:, None] + np.square(v).sum(axis=0)
+                        - 2 * drawn.T @ v, 0.0)
+    # exp(-|.|^2 / 2 s^2) for the scales from the widest on, each the fourth power of the next
+    densities, falloff = [], np.exp(-0.5 / SCALES[-1]**2 * square)
+    for s in reversed(SCALES):
+        densities.append(falloff @ weights / s**m)
+        falloff = np.square(np.square(falloff))
+    p, q = densities[-1], sum(densities)[:-1] / len(SCALES)
     return float(min(np.where(p[:-1] <= p[-1], p[:-1] / q, 0.0).mean(), 1.0))
 
 
-def _spread_within_clusters(weights: Array, v: Array) -> Array:
-    """Return the covariance of points about the means of their clusters, (m, m)."""
-    # in many dimensions there are more tiles than points
-    cluster = _clusters(v) if len(v) <= MOST_AXES else np.zeros(v.shape[1], dtype=np.intp)
-    mass = np.maximum(np.bincount(cluster, weights), 1e-300)
-    centre = np.stack([np.bincount(cluster, weights * row) / mass for row in v])
-    d = v - centre[:, cluster]
-    return np.asarray(d * weights @ d.T / weights.sum(), dtype=float)
+def _merged(weights: Array, v: Array) -> tuple[Array, Array, Array]:
+    """
+    Return no more than a crowd of points that stand for all, (m, N), their weights, (N,).
+
+    And the covariance that each has of those it stands for, (m, m), on average; twice that where
+    they are so far apart that they would be a comb.
+    """
+    if len(weights) > MOST_TILED:
+        v = v[:, _picked(weights, (np.arange(MOST_TILED) + 0.5) / MOST_TILED)]
+        weights = np.full(MOST_TILED, 1 / MOST_TILED)
+    m, side, lost = len(v), TILE, np.zeros((len(v), len(v)))
+    while len(weights) > CROWD:
+        which = _tiles(v, side)
+        w = np.asarray(np.bincount(which, weights), dtype=float)
+        centres = np.stack([np.bincount(which, weights * row)
+                            for row in v]) / np.maximum(w, 1e-300)
+        d = v - centres[:, which]
+        lost += d * weights @ d.T
+        weights, v = w, centres
+        side *= max(GROWTH, (len(weights) / CROWD)**(1 / m))
+    return weights, v, 2 * lost if side > LOOSE else lost
+
+
+def _tiles(v: Array, side: float) -> Integers:
+    """Return which tile each point is in, (N,)."""
+    # by numbers that no two tiles have in common, all but certainly
+    factors = np.random.Generator(np.random.Philox(key=1)).integers(
+        1 << 62, size=(len(v), 1), dtype=np.int64) | 1
+    with np.errstate(over='ignore', invalid='ignore'):
+        numbers = (np.floor(v / side).astype(np.int64) * factors).sum(axis=0)
+    return np.unique(numbers, return_inverse=True)[1]
 
 
 def _picked(weights: Array, shares: Array) -> Integers:

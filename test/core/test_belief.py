@@ -198,3 +198,21 @@ def test_takes_a_covariance_that_is_symmetric_but_for_rounding(turn, first, seco
     rotation = np.array([[c, -s], [s, c]])
     covariance = rotation @ np.diag([first, second]) @ rotation.T
     assert GridBelief.gaussian(GRID, [1, 1], covariance).mass == pytest.approx(1)
+
+
+@pytest.mark.parametrize('deviation', [1.0, 2.0, 3.5])
+def test_a_wide_gaussian_goes_round_a_circle(deviation):
+    circle = Grid((-np.pi,), (np.pi,), (360,), (True,))
+    belief = GridBelief.gaussian(circle, [2.5], [[deviation**2]])
+    wrapped = sum(stats.norm.pdf(circle.points[0], 2.5 + 2 * np.pi * turn, deviation)
+                  for turn in range(-20, 21))
+    np.testing.assert_allclose(belief.density, wrapped, rtol=1e-3)
+
+
+@pytest.mark.parametrize('rho', [0.9, 0.9999, 0.99999999])
+def test_a_gaussian_thinner_than_a_cell_along_a_diagonal_is_where_it_belongs(rho):
+    deviations, grid = np.array([5.0, 3.1]), Grid((-30, -30), (30, 30), (60, 60))
+    covariance = np.outer(deviations, deviations) * np.array([[1, rho], [rho, 1]])
+    belief = GridBelief.gaussian(grid, [0.3, 0.2], covariance)
+    np.testing.assert_allclose(belief.mean(), [0.3, 0.2], atol=0.02)
+    np.testing.assert_allclose(np.sqrt(np.diag(belief.covariance())), deviations, atol=0.06)

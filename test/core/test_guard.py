@@ -6,7 +6,7 @@ import numpy as np
 from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.bank import Bank, Member
 from pif_ros.core.belief import GridBelief
-from pif_ros.core.clutter import Clutter
+from pif_ros.core.clutter import Clutter, clutter_of
 from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
@@ -247,6 +247,21 @@ def test_the_belief_given_what_may_be_clutter_is_that_of_the_mixed_likelihood(y)
     np.testing.assert_allclose(made.belief.density, joint / evidence, rtol=1e-6, atol=1e-12)
     # the clutter's span is that of the grid's edges
     assert made.log_evidence == pytest.approx(np.log(evidence), abs=1e-6)
+
+
+@pytest.mark.parametrize('at', [0.0, 60.0, 1.7e9])
+def test_the_clutter_of_a_sensor_that_moves_is_where_that_is(at):
+    grid, y = Grid((-5.0,), (5.0,), (100,)), 2 * at + 4.0
+    moving = Sensor(lambda x, t: x + 2 * t, [[0.01]], time_dependent=True)
+    filter_ = DiracFeynmanFilter(ornstein_uhlenbeck().model, grid, {'s': moving},
+                                 KernelSettings(0.1))
+    guard = Guard({'s': Gate(outlier_probability=0.1, clutter=clutter_of(moving, grid))})
+    made = guard.correct(filter_, filter_.gaussian([0.0], [[0.25]]), (y,), 's',
+                         round(at * 1e9), tracker_watch())
+    # eight deviations from all that is believed: clutter, of which ten and six tenths are the span
+    assert made.log_evidence == pytest.approx(
+        np.log(0.1 * stats.norm.pdf(4.0, 0.0, 10.6)), abs=0.02)
+    assert made.belief.mean() == pytest.approx(0.0, abs=1e-3)
 
 
 @EVERY

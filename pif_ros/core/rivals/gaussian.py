@@ -6,25 +6,22 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-import itertools
 import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pif_ros.core.belief import check_covariance, GridBelief
+from pif_ros.core.belief import check_covariance, gaussian_on, GridBelief
 from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import scale_of, Sensor, StateModel
 from pif_ros.core.modes import Mode, MOST, SHARE
 from pif_ros.core.predictive import Predictive
-from pif_ros.core.rivals.passage import (check_box, circles, driven_steps, known, LARGEST,
+from pif_ros.core.rivals.passage import (check_box, driven_steps, known, LARGEST,
                                          short_way, step_ns, wrapped)
 
 Array = NDArray[np.float64]
 
-#: A wrapped Gaussian is summed over this many turns to either side at most.
-TURNS = 6
 #: No derivative is taken for a narrower deviation, against which rounding would be too large.
 NARROWEST = 1e-8
 
@@ -85,16 +82,7 @@ class GaussianBelief:
         cells, axes = grid.select(axes), list(axes)
         if not self.mass:
             return GridBelief(cells, np.zeros(cells.shape))
-        P = self.spread[np.ix_(axes, axes)]
-        # at least half a cell in every direction, or the cells' centres would miss it
-        widths, turned = np.linalg.eigh(P / np.outer(cells.spacing, cells.spacing))
-        P = (turned * np.maximum(widths, 0.25)) @ turned.T * np.outer(cells.spacing, cells.spacing)
-        precision = np.linalg.inv(P)
-        d = cells.wrap(cells.points - self.location[axes, None])
-        exponents = np.stack([-0.5 * np.einsum('ik,ij,jk->k', d + turn, precision, d + turn)
-                              for turn in _turns(cells, np.sqrt(np.diag(P)))])
-        density = np.exp(exponents).sum(axis=0).reshape(cells.shape)
-        density /= np.sqrt(np.linalg.det(2 * np.pi * P))
+        density = gaussian_on(cells, self.location[axes], self.spread[np.ix_(axes, axes)])
         # sampled at the cells' centres it may come to a little more than all
         return GridBelief(cells, density / max(density.sum() * cells.cell_volume, 1.0))
 
@@ -310,12 +298,3 @@ def _sound(m: Array, P: Array) -> bool:
     # a comparison with NaN is false
     return bool(np.abs(m).max() < LARGEST and np.abs(P).max() < LARGEST
                 and P.diagonal().min() >= 0)
-
-
-def _turns(cells: Grid, deviations: Array) -> list[Array]:
-    """Return the shifts (n, 1) by whole periods that a density so wide reaches."""
-    steps: list[Array] = [np.zeros(1)] * cells.ndim
-    for i, _, period in circles(cells):
-        count = min(int(5 * deviations[i] / period) + 1, TURNS)
-        steps[i] = period * np.arange(-count, count + 1.0)
-    return [np.array(turn)[:, None] for turn in itertools.product(*steps)]
