@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 import time
 
@@ -20,7 +20,9 @@ class SourceAccount:
     One topic's messages: received = accepted + rejected (by reason) + dropped + queued.
 
     outliers: those of the accepted that the belief hardly allowed; lost: what was published, by
-    the publisher's count, and never came; traffic: how the last of them came in.
+    the publisher's count, and never came; traffic: how the last of them came in; off: says in a
+    word why it is not listened to now, '' where it is; there: says what is listened to, and who
+    publishes there.
     """
 
     received: int = 0
@@ -30,6 +32,8 @@ class SourceAccount:
     lost: int = 0
     rejected: Counter[str] = field(default_factory=Counter)
     traffic: Traffic = field(default_factory=Traffic)
+    off: Callable[[], str] = field(default=str, compare=False, repr=False)
+    there: Callable[[], str] = field(default=str, compare=False, repr=False)
 
     def reject(self, reason: str) -> None:
         """Count a message that cannot be used."""

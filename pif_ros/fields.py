@@ -101,19 +101,33 @@ def field_reader(message: Any, paths: Sequence[str]) -> Callable[[Any], tuple[fl
     return read
 
 
+def are_places(paths: Sequence[str]) -> bool:
+    """Return whether some of the paths lead into a pose or a point, in the header's frame."""
+    return any(path.split('.')[0] in ('pose', 'point') for path in paths)
+
+
+def covariances(message: Any, paths: Sequence[str]) -> tuple[str, ...]:
+    """
+    Return the paths of the covariances of what is read.
+
+    Those are, at each message on the paths, its `covariance`, or the one that is named after the
+    next field (`angular_velocity_covariance`), or the only one.
+    """
+    return tuple(dict.fromkeys('.'.join(place) for path in paths
+                               for place in _covariances(message, _path(message, path))))
+
+
 def doubter(message: Any, paths: Sequence[str]) -> Callable[[Any], str]:
     """
     Return a function that says what is wrong with the covariances of what is read, '' for nothing.
 
-    Those are, at each message on the paths, its `covariance`, or the one that is named after the
-    next field (`angular_velocity_covariance`), or the only one.  They must be finite, with no
-    variance below 0: -1 in front is how sensor_msgs says that there is no such measurement.
+    They must be finite, with no variance below 0: -1 in front is how sensor_msgs says that there
+    is no such measurement.
     """
-    found = {place: None for path in paths
-             for place in _covariances(message, _path(message, path))}
+    places = [place.split('.') for place in covariances(message, paths)]
 
     def wrong(msg: Any) -> str:
-        for place in found:
+        for place in places:
             values = np.asarray(functools.reduce(getattr, place, msg), dtype=float)
             variances = values[::math.isqrt(len(values)) + 1]
             if not np.all(np.isfinite(values)) or np.any(variances < 0):

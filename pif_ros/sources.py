@@ -35,7 +35,9 @@ class Inlet:
     """
     One topic of stamped numbers, so many in each message, and the account of its messages.
 
-    prefix: what the names of its parameters begin with; name, what: what its lines speak of.
+    prefix: what the names of its parameters begin with; name, what: what its lines speak of;
+    off: why its last message was not listened to, '' where it was; is_placed: whether the frame of
+    its messages is still to be looked at; covariances: those that come with what is read.
     Raises ConfigError for a type that is not installed or fields that it has not.
     """
 
@@ -44,6 +46,7 @@ class Inlet:
         self.name, self.what, self.prefix, self.topic = name, what, prefix, config.topic
         self.account = SourceAccount() if account is None else account
         self._size, self._max_ahead_ns = size, round(max_ahead * NANOSECONDS)
+        self.type_name, self.off = config.type, ''
         try:
             self.type = fields.message_class(config.type)
         except ValueError as error:
@@ -53,7 +56,9 @@ class Inlet:
         except ValueError as error:
             raise ConfigError(f'{prefix}.fields: {error}') from None
         self._wrong = fields.doubter(self.type, config.fields)
+        self.covariances = fields.covariances(self.type, config.fields)
         self.is_stamped = fields.has_header(self.type)
+        self.is_placed = self.is_stamped and fields.are_places(config.fields)
         self._beyond = fields.ranger(self.type, config.fields)
         self._newest: int | None = None
         self._is_mixed = False
