@@ -10,8 +10,8 @@ import time
 from pif_ros.traffic import Traffic
 
 
-#: Reasons for which the user has messages rejected: no sign that something is wrong.
-ASKED_FOR = ('disabled', 'inactive')
+#: Reasons that are no sign that something is wrong: the user has it so, or nothing was in sight.
+NO_FAULT = ('disabled', 'inactive', 'out of range')
 
 
 @dataclass
@@ -38,7 +38,7 @@ class SourceAccount:
     def reject(self, reason: str) -> None:
         """Count a message that cannot be used."""
         self.rejected[reason] += 1
-        if reason not in ASKED_FOR:
+        if reason not in NO_FAULT:
             self.traffic.refuse()
 
     def judge_anew(self, reason: str, refused: bool) -> None:

@@ -90,17 +90,16 @@ class Inlet:
             raise Refused('no clock', f'expected a /clock before the first {self.what}')
         try:
             values = self._read(msg)
-        except IndexError:
-            raise Refused('wrong length', f'expected {self._size} numbers, got a message whose '
-                          'arrays are too short') from None
+        except IndexError as error:
+            raise Refused('wrong length', str(error)) from None
         if len(values) != self._size:
             raise Refused('wrong length', f'expected {self._size} numbers, got {len(values)}')
+        if beyond := self._beyond(msg):
+            raise Refused('out of range', beyond)
         if not all(map(math.isfinite, values)):
             raise Refused('not finite', f'expected finite numbers, got {list(values)}')
         if wrong := self._wrong(msg):
             raise Refused('bad covariance', wrong)
-        if beyond := self._beyond(msg):
-            raise Refused('out of range', beyond)
         return self._stamp(msg, now_ns, arrived_ns), values
 
     def _stamp(self, msg: Any, now_ns: int, arrived_ns: int | None) -> int:
@@ -142,6 +141,8 @@ class ControlSource(Inlet):
     """
     The topic of what drives a model with inputs.
 
+    Of those without a header that arrive at one reading of a coarse clock each is stamped a
+    nanosecond after the one before, so that the last counts.
     is_too_fast: tells of the numbers of a control, and the time, whether no step could follow it.
     Raises ConfigError also for fields that hold not just one number for each input.
     """
@@ -151,6 +152,7 @@ class ControlSource(Inlet):
                  account: SourceAccount | None = None) -> None:
         super().__init__('control', 'control', 'control', config, len(inputs), max_ahead, account)
         self._is_too_fast = is_too_fast
+        self._arrived_ns, self._in_a_tick = -1, 0
         try:
             fields.field_writer(self.type, config.fields, len(inputs))
         except ValueError as error:
@@ -162,4 +164,10 @@ class ControlSource(Inlet):
         if self._is_too_fast(values, stamp_ns / NANOSECONDS):
             raise Refused('too fast', 'expected one that carries no state across the whole grid '
                           f'in kernel.time_step, got {list(values)}')
-        return Control(stamp_ns, values)
+        return Control(stamp_ns if self.is_stamped else self._after_others(stamp_ns), values)
+
+    def _after_others(self, arrived_ns: int) -> int:
+        """Return when a control arrived, later by one for each that did at the same time."""
+        same = arrived_ns == self._arrived_ns
+        self._arrived_ns, self._in_a_tick = arrived_ns, self._in_a_tick + 1 if same else 0
+        return arrived_ns + self._in_a_tick

@@ -1,9 +1,14 @@
 """What is said of sources that say nothing, or something else than was meant."""
 
+import math
 import re
 
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, Twist
+import numpy as np
+from pif_ros.config import ControlConfig, SourceConfig
+from pif_ros.core.models import Sensor
 from pif_ros.diagnostics import ERROR, OK, statuses, WARN
+from pif_ros.sources import ControlSource, Refused, Source
 from proofs.inputs import YARD
 import pytest
 import rclpy
@@ -12,7 +17,7 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 from rclpy.time import Time
 from ros import PLANE, SECOND, stamp_into
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, LaserScan
 from std_msgs.msg import Float64
 
 T = 1_000 * SECOND
@@ -156,3 +161,68 @@ def test_a_covariance_that_comes_with_a_measurement_is_said_not_to_be_used(
     graph.filter_node({**PLANE, 'measurements.main.type': f'geometry_msgs/msg/{kind}',
                        'measurements.main.fields': [f'{path}.x', f'{path}.y']})
     assert re.findall(r'main: \S+ is checked(?=, not used)', capfd.readouterr().err) == words
+
+
+def scan_of(values, low=0.1, high=30.0):
+    """Return a scan of some distances."""
+    message = LaserScan(range_min=low, range_max=high, ranges=values)
+    stamp_into(message.header.stamp, T)
+    return message
+
+
+def beam(index):
+    """Return a source that measures one distance of a scan."""
+    return Source('beam', SourceConfig('scan', 'sensor_msgs/msg/LaserScan', (f'ranges[{index}]',)),
+                  Sensor(lambda x, t: x[:1], np.eye(1)), 1.0)
+
+
+@pytest.mark.parametrize(('value', 'reason'), [
+    (math.inf, 'out of range'), (-math.inf, 'out of range'), (math.nan, 'not finite')])
+@pytest.mark.parametrize('limits', [(0.1, 30.0), (0.0, 0.0), (0.1, math.inf)], ids=str)
+def test_a_beam_without_a_return_is_out_of_range_and_an_error_is_not_finite(
+        value, reason, limits):
+    with pytest.raises(Refused) as refused:
+        beam(0).item(scan_of([value], *limits), T)
+    assert refused.value.reason == reason and f'{value:g}' in str(refused.value)
+
+
+def test_beams_without_a_return_are_no_fault_of_the_scanner(graph):
+    bare = Bare(graph, {
+        **PLANE, 'measurements.main.type': 'sensor_msgs/msg/LaserScan',
+        'measurements.main.fields': ['ranges[0]', 'ranges[1]']})
+    bare.hear('fix', *[scan_of([3.0, math.inf])] * 9)
+    found = bare.status()
+    assert found.level == OK and found.values['rejected, out of range'] == '9'
+    bare.hear('fix', *[scan_of([3.0, math.nan])] * 9)
+    assert bare.status().level == ERROR
+
+
+def test_an_array_that_is_too_short_is_told_with_the_path_and_its_length():
+    with pytest.raises(Refused, match=r'^expected ranges\[500\], got an array that is too short: '
+                                      'it has 360$') as refused:
+        beam(500).item(scan_of([1.0] * 360), T)
+    assert refused.value.reason == 'wrong length'
+    assert beam(359).item(scan_of([1.0] * 360), T).values == (1.0,)
+
+
+def test_of_unstamped_controls_within_one_tick_of_a_clock_the_last_one_holds(graph):
+    bare = Bare(graph, {**YARD, 'control.type': 'geometry_msgs/msg/Twist',
+                        'control.fields': ['linear.x', 'angular.z']})
+    drive, stop = Twist(), Twist()
+    drive.linear.x = 1.0
+    bare.hear('fix', fix(T))
+    bare.hear('control', drive, stop, drive, stop)
+    graph.until(lambda: not bare.node.inbox.has_work, 'the work')
+    still = bare.node.tracker.forecast(T + SECOND // 2).belief.mean()
+    assert bare.node.accounts.control.accepted == 4
+    # without a control the mean of a robot that only diffuses stays where it is
+    assert still == pytest.approx(bare.node.tracker.newest.belief.mean(), abs=1e-3)
+
+
+def test_unstamped_controls_at_times_of_their_own_keep_them():
+    source = ControlSource(ControlConfig('drive', 'geometry_msgs/msg/Twist',
+                                         ('linear.x', 'angular.z')),
+                           ('v', 'omega'), 1.0, lambda values, seconds: False)
+    times = [T, T, T, T + 5, T + 5, T, T - SECOND]
+    assert [source.item(Twist(), now).stamp_ns for now in times] == [
+        T, T + 1, T + 2, T + 5, T + 6, T, T - SECOND]
