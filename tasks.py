@@ -61,8 +61,8 @@ def benchmark(arguments):
 
 
 def clean(_):
-    made = ['.venv', '.venv-benchmark', 'demo', 'build', 'install', 'log', 'pif_ros.egg-info',
-            '.hypothesis', '.mypy_cache', '.pytest_cache']
+    made = ['.venv', '.venv-benchmark', 'demo', 'papers', 'build', 'install', 'log',
+            'pif_ros.egg-info', '.hypothesis', '.mypy_cache', '.pytest_cache']
     for name in made:
         shutil.rmtree(ROOT / name, ignore_errors=True)
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 import time
 
 from pif_ros.traffic import Traffic
 
 
-#: Reasons for which the user has messages rejected: no sign that something is wrong.
-ASKED_FOR = ('disabled', 'inactive')
+#: Reasons that are no sign that something is wrong: the user has it so, or nothing was in sight.
+NO_FAULT = ('disabled', 'inactive', 'out of range')
 
 
 @dataclass
@@ -20,7 +20,9 @@ class SourceAccount:
     One topic's messages: received = accepted + rejected (by reason) + dropped + queued.
 
     outliers: those of the accepted that the belief hardly allowed; lost: what was published, by
-    the publisher's count, and never came; traffic: how the last of them came in.
+    the publisher's count, and never came; traffic: how the last of them came in; off: says in a
+    word why it is not listened to now, '' where it is; there: says what is listened to, and who
+    publishes there.
     """
 
     received: int = 0
@@ -30,11 +32,13 @@ class SourceAccount:
     lost: int = 0
     rejected: Counter[str] = field(default_factory=Counter)
     traffic: Traffic = field(default_factory=Traffic)
+    off: Callable[[], str] = field(default=str, compare=False, repr=False)
+    there: Callable[[], str] = field(default=str, compare=False, repr=False)
 
     def reject(self, reason: str) -> None:
         """Count a message that cannot be used."""
         self.rejected[reason] += 1
-        if reason not in ASKED_FOR:
+        if reason not in NO_FAULT:
             self.traffic.refuse()
 
     def judge_anew(self, reason: str, refused: bool) -> None:

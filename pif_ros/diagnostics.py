@@ -26,12 +26,13 @@ Limits = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Status:
-    """One task's word: its name, a level, a sentence, and what it counts."""
+    """One task's word: its name, a level, a sentence, what it counts, and a line for the log."""
 
     name: str
     level: int
     message: str
     values: Mapping[str, str]
+    line: str = ''
 
 
 @dataclass(frozen=True)
@@ -170,16 +171,23 @@ def source_status(name: str, account: SourceAccount, facts: Facts,
     concerns = [(OK, str(account) if account.received else 'nothing received yet')]
     if not facts.active:
         return Status(name, *concerns[0], words)
+    if off := account.off():
+        return Status(name, OK, f'{off}: {account}', words)
+    line = ''
     if now_ns is not None and not quiet:
         silence = traffic.silence(now_ns, facts.since_ns)
-        concerns.append((_level(silence, limits.max_age), f'silent for {silence:.1f} s'))
+        level, text = _level(silence, limits.max_age), f'silent for {silence:.1f} s'
+        if level > OK and (there := account.there()):
+            text = f'{text}: {there}'
+            line = f'{name}: {text}'
+        concerns.append((level, text))
     if traffic.delay is not None:
         concerns.append((_level(traffic.delay, limits.max_delay),
                          f'its stamps are {traffic.delay:.2f} s old when they come'))
     concerns.append((_level(traffic.refused, limits.max_refused),
                      f'{traffic.refused:.0%} of the last were not taken or never came: {account}'))
     level, text = max(concerns, key=lambda concern: concern[0])
-    return Status(name, level, text, words)
+    return Status(name, level, text, words, line)
 
 
 def timing_status(facts: Facts) -> Status:

@@ -58,7 +58,9 @@ def ranger(message: Any, paths: Sequence[str]) -> Callable[[Any], str]:
     """
     Return a function that says which distance that is read saw nothing, '' for none.
 
-    Those of a Range or a LaserScan must be within its limits if it has any, and not below 0.
+    Those of a Range or a LaserScan must be within its limits if it has any, and not below 0.  What
+    is infinite is beyond any: +inf is how drivers say that nothing came back, -inf that something
+    is too close [REP 117]; NaN, an error, is not judged here.
     """
     field, least, most = DISTANCES.get(message.__name__, ('', '', ''))
     own = [path for path in paths if path.split('[')[0] == field]
@@ -69,7 +71,8 @@ def ranger(message: Any, paths: Sequence[str]) -> Callable[[Any], str]:
     def beyond(msg: Any) -> str:
         low, high = getattr(msg, least), getattr(msg, most)
         for value in read(msg):
-            if not (low <= value <= high if high > low else value >= 0):
+            within = low <= value <= high if high > low else value >= 0
+            if math.isinf(value) or not (within or math.isnan(value)):
                 return f'expected a range from {low:g} to {high:g}, got {value:g}'
         return ''
 
@@ -82,7 +85,7 @@ def field_reader(message: Any, paths: Sequence[str]) -> Callable[[Any], tuple[fl
 
     A path such as 'pose.pose.position.x' or 'ranges[0]' is a number; a path to an array of
     numbers is all of it.  No paths: 'data'.  Raises ValueError for a path that the class has not;
-    the reader raises IndexError for an array that is too short.
+    the reader raises IndexError, which names the path, for an array that is too short.
     """
     steps = [_path(message, path) for path in paths or ('data',)]
 
@@ -91,7 +94,13 @@ def field_reader(message: Any, paths: Sequence[str]) -> Callable[[Any], tuple[fl
         for path in steps:
             found = msg
             for step in path:
-                found = found[step] if isinstance(step, int) else getattr(found, step)
+                if not isinstance(step, int):
+                    found = getattr(found, step)
+                elif step < len(found):
+                    found = found[step]
+                else:
+                    raise IndexError(f'expected {_written(path)}, got an array that is too short: '
+                                     f'it has {len(found)}')
             if hasattr(found, '__len__'):
                 values.extend(float(v[0] if isinstance(v, bytes) else v) for v in found)
             else:
@@ -101,19 +110,38 @@ def field_reader(message: Any, paths: Sequence[str]) -> Callable[[Any], tuple[fl
     return read
 
 
+def _written(steps: Sequence[str | int]) -> str:
+    """Return a path as it is written in the parameters."""
+    return ''.join(f'[{step}]' if isinstance(step, int) else f'.{step}' for step in steps)[1:]
+
+
+def are_places(paths: Sequence[str]) -> bool:
+    """Return whether some of the paths lead into a pose or a point, in the header's frame."""
+    return any(path.split('.')[0] in ('pose', 'point') for path in paths)
+
+
+def covariances(message: Any, paths: Sequence[str]) -> tuple[str, ...]:
+    """
+    Return the paths of the covariances of what is read.
+
+    Those are, at each message on the paths, its `covariance`, or the one that is named after the
+    next field (`angular_velocity_covariance`), or the only one.
+    """
+    return tuple(dict.fromkeys('.'.join(place) for path in paths
+                               for place in _covariances(message, _path(message, path))))
+
+
 def doubter(message: Any, paths: Sequence[str]) -> Callable[[Any], str]:
     """
     Return a function that says what is wrong with the covariances of what is read, '' for nothing.
 
-    Those are, at each message on the paths, its `covariance`, or the one that is named after the
-    next field (`angular_velocity_covariance`), or the only one.  They must be finite, with no
-    variance below 0: -1 in front is how sensor_msgs says that there is no such measurement.
+    They must be finite, with no variance below 0: -1 in front is how sensor_msgs says that there
+    is no such measurement.
     """
-    found = {place: None for path in paths
-             for place in _covariances(message, _path(message, path))}
+    places = [place.split('.') for place in covariances(message, paths)]
 
     def wrong(msg: Any) -> str:
-        for place in found:
+        for place in places:
             values = np.asarray(functools.reduce(getattr, place, msg), dtype=float)
             variances = values[::math.isqrt(len(values)) + 1]
             if not np.all(np.isfinite(values)) or np.any(variances < 0):

@@ -7,12 +7,15 @@ import time
 from typing import Any
 
 from pif_ros import conversions, interface
-from pif_ros.diagnostics import Facts, OK, statuses
+from pif_ros.accounts import Throttle
+from pif_ros.diagnostics import Facts, OK, Status, statuses
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 #: Whether it got worse is looked at no more often than this, in seconds.
 SELDOM = 0.2
+#: What stays wrong is a line of the log no more often than this, in seconds.
+REMIND = 60.0
 #: Finding the modes has this share of the time at most.
 TAKE = 0.002
 
@@ -27,7 +30,7 @@ class Health:
     def __init__(self, node: Node, rate: float, facts: Callable[[], Facts],
                  tick: Callable[[], None]) -> None:
         self._node, self._facts, self._level, self._looked = node, facts, OK, 0.0
-        self._is_wanted = bool(rate)
+        self._is_wanted, self._throttle = bool(rate), Throttle(REMIND)
         self._next_modes = 0.0
         self._masses: tuple[float, ...] = ()
         told = interface.DIAGNOSTICS
@@ -48,8 +51,10 @@ class Health:
         self._next_modes, self._masses = 0.0, ()
 
     def tell(self) -> None:
-        """Publish how it is."""
-        self._publish(only_worse=False)
+        """Publish how it is, and log what is worth it."""
+        for status in self._publish(only_worse=False):
+            if status.line and (line := self._throttle.line(status.name, status.line)):
+                self._node.get_logger().warning(line)
 
     def look(self) -> None:
         """Publish how it is where that is worse than what was told last."""
@@ -58,7 +63,7 @@ class Health:
             self._looked = now
             self._publish(only_worse=True)
 
-    def _publish(self, only_worse: bool) -> None:
+    def _publish(self, only_worse: bool) -> list[Status]:
         found = statuses(self._facts())
         level = max(status.level for status in found)
         if level > self._level or not only_worse:
@@ -66,3 +71,4 @@ class Health:
             self._publisher.publish(conversions.diagnostics_message(
                 found, self._node.get_clock().now().nanoseconds,
                 self._node.get_fully_qualified_name()))
+        return found

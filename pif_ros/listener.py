@@ -31,6 +31,7 @@ class Listener:
                  arrived: Callable[[bool], None]) -> None:
         self._node, self._inbox, self._time = node, inbox, time
         self._refuses, self._arrived = refuses, arrived
+        self._frames = ('', config.frame_id)
         self._depth = config.measurements.queue_length
         self._known = {node.resolve_topic_name(own.name): own.type
                        for own in (*interface.PUBLICATIONS, *interface.SUBSCRIPTIONS)}
@@ -55,10 +56,14 @@ class Listener:
             account.lose(lost)
             self._node.report(f'{inlet.name}: lost', f'{inlet.name}: {lost} {inlet.what}s were '
                               'lost before they came here, such as in a full queue of DDS')
+        was_off, inlet.off = inlet.off, self._refuses(inlet.prefix)
+        if inlet.off:
+            self._turn_away(inlet, now_ns, inlet.off != was_off)
+            return
         try:
-            if why := self._refuses(inlet.prefix):
-                raise Refused(why, f'it is {why}')
             item = inlet.item(msg, now_ns, self._arrival(info))
+            if inlet.is_placed and msg.header.frame_id not in self._frames:
+                self._warn_of_frame(inlet, msg.header.frame_id)
         except Refused as refused:
             if now_ns is not None:
                 account.traffic.arrive(now_ns)
@@ -73,6 +78,22 @@ class Listener:
         self._inbox.put(inlet, item)
         self._arrived(alone)
 
+    def _turn_away(self, inlet: Inlet, now_ns: int | None, is_first: bool) -> None:
+        """Count a message of a source that is not listened to; of many only the first is told."""
+        if now_ns is not None:
+            inlet.account.traffic.arrive(now_ns)
+        inlet.account.reject(inlet.off)
+        if is_first:
+            self._node.report(f'{inlet.name}: {inlet.off}', f'{inlet.name}: it is {inlet.off}: '
+                              f'its {inlet.what}s are counted, and not taken')
+
+    def _warn_of_frame(self, inlet: Inlet, frame: str) -> None:
+        """Tell once that what is measured is in another frame."""
+        inlet.is_placed = False
+        self._node.report(f'{inlet.name}: frame', f'{inlet.name}: header.frame_id: expected '
+                          f'{self._frames[1]!r}, which is frame_id, got {frame!r}: it is taken as '
+                          'it is, since nothing is transformed')
+
     def _listen(self, inlet: Inlet) -> None:
         """Subscribe to an inlet, unless its topic is known to be of another type."""
         try:
@@ -86,6 +107,21 @@ class Listener:
             raise ConfigError(f'{inlet.prefix}.topic: expected a topic for messages '
                               f'of type {inlet.type.__name__}, got {inlet.topic!r} '
                               f'({str(error).splitlines()[0]})') from None
+        inlet.account.off = functools.partial(self._refuses, inlet.prefix)
+        inlet.account.there = functools.partial(self._there, inlet)
+        if inlet.covariances and isinstance(inlet, Source):
+            self._node.get_logger().info(
+                f'{inlet.name}: {", ".join(inlet.covariances)} is checked, not used: what counts '
+                f'is the noise of its sensor ({inlet.prefix}.params)')
+
+    def _there(self, inlet: Inlet) -> str:
+        """Say what is listened to, and who publishes there."""
+        kinds = [info.topic_type
+                 for info in self._node.get_publishers_info_by_topic(inlet.topic)]
+        who = (f'{len(kinds)} publisher{"s" if len(kinds) > 1 else ""} there, of '
+               f'{", ".join(sorted(set(kinds)))}' if kinds else 'nobody publishes there')
+        return (f'nothing on {self._node.resolve_topic_name(inlet.topic)} ({inlet.type_name}); '
+                f'{who}')
 
     def _publishers(self, inlet: Inlet) -> int:
         """Return how many publish what an inlet hears."""

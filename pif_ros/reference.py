@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+import dataclasses
 import inspect
 from pathlib import Path
 import re
@@ -12,12 +13,13 @@ from typing import Any
 from pif_ros import interface
 from pif_ros.config import specifications
 from pif_ros.core.systems import System, SYSTEMS
+from pif_ros.scenario import Settings
 
 
 def tables() -> Mapping[str, str]:
     """Return every generated table of the README by the name of its place."""
     return {'topics': _topics(), 'services': _endpoints(interface.SERVICES),
-            'parameters': _parameters(), 'systems': _systems()}
+            'parameters': _parameters(), 'systems': _systems(), 'simulate': _simulate()}
 
 
 def filled(text: str) -> str:
@@ -46,17 +48,26 @@ def _endpoints(endpoints: Iterable[interface.Endpoint]) -> str:
 def _parameters() -> str:
     rows = []
     for name, spec in specifications(('NAME',)).items():
-        meta = spec.metadata
-        says = meta['says'] + (f' [{meta["unit"]}]' if meta['unit'] else '')
-        says += '; may be set while running' if meta['live'] else ''
-        rows.append(f'| `{name}` | `{_shown(spec.default)}` | {_cell(meta["kind"].wanted)} | '
-                    f'{says} |')
+        rows.append(_parameter(name, spec))
         if name.endswith('.sensor'):
             rows.append('| `measurements.NAME.params.*` | | numbers | the constants of that '
                         'sensor |')
         if name == 'model.name':
             rows.append('| `model.params.*` | | numbers | the constants of that model |')
     return _table(('parameter', 'default', 'expected', 'what it is'), rows)
+
+
+def _simulate() -> str:
+    return _table(('setting', 'default', 'expected', 'what it is'), [
+        _parameter(spec.name, spec) for spec in dataclasses.fields(Settings)])
+
+
+def _parameter(name: str, spec: Any) -> str:
+    meta = spec.metadata
+    says = meta['says'] + (f' [{meta["unit"]}]' if meta['unit'] else '')
+    says += '; may be set while running' if meta['live'] else ''
+    return (f'| `{name}` | `{_shown(spec.default)}` | {_cell(meta["kind"].wanted)} | '
+            f'{says} |')
 
 
 def _systems() -> str:

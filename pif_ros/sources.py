@@ -35,7 +35,9 @@ class Inlet:
     """
     One topic of stamped numbers, so many in each message, and the account of its messages.
 
-    prefix: what the names of its parameters begin with; name, what: what its lines speak of.
+    prefix: what the names of its parameters begin with; name, what: what its lines speak of;
+    off: why its last message was not listened to, '' where it was; is_placed: whether the frame of
+    its messages is still to be looked at; covariances: those that come with what is read.
     Raises ConfigError for a type that is not installed or fields that it has not.
     """
 
@@ -44,6 +46,7 @@ class Inlet:
         self.name, self.what, self.prefix, self.topic = name, what, prefix, config.topic
         self.account = SourceAccount() if account is None else account
         self._size, self._max_ahead_ns = size, round(max_ahead * NANOSECONDS)
+        self.type_name, self.off = config.type, ''
         try:
             self.type = fields.message_class(config.type)
         except ValueError as error:
@@ -53,7 +56,9 @@ class Inlet:
         except ValueError as error:
             raise ConfigError(f'{prefix}.fields: {error}') from None
         self._wrong = fields.doubter(self.type, config.fields)
+        self.covariances = fields.covariances(self.type, config.fields)
         self.is_stamped = fields.has_header(self.type)
+        self.is_placed = self.is_stamped and fields.are_places(config.fields)
         self._beyond = fields.ranger(self.type, config.fields)
         self._newest: int | None = None
         self._is_mixed = False
@@ -85,17 +90,16 @@ class Inlet:
             raise Refused('no clock', f'expected a /clock before the first {self.what}')
         try:
             values = self._read(msg)
-        except IndexError:
-            raise Refused('wrong length', f'expected {self._size} numbers, got a message whose '
-                          'arrays are too short') from None
+        except IndexError as error:
+            raise Refused('wrong length', str(error)) from None
         if len(values) != self._size:
             raise Refused('wrong length', f'expected {self._size} numbers, got {len(values)}')
+        if beyond := self._beyond(msg):
+            raise Refused('out of range', beyond)
         if not all(map(math.isfinite, values)):
             raise Refused('not finite', f'expected finite numbers, got {list(values)}')
         if wrong := self._wrong(msg):
             raise Refused('bad covariance', wrong)
-        if beyond := self._beyond(msg):
-            raise Refused('out of range', beyond)
         return self._stamp(msg, now_ns, arrived_ns), values
 
     def _stamp(self, msg: Any, now_ns: int, arrived_ns: int | None) -> int:
@@ -137,6 +141,8 @@ class ControlSource(Inlet):
     """
     The topic of what drives a model with inputs.
 
+    Of those without a header that arrive at one reading of a coarse clock each is stamped a
+    nanosecond after the one before, so that the last counts.
     is_too_fast: tells of the numbers of a control, and the time, whether no step could follow it.
     Raises ConfigError also for fields that hold not just one number for each input.
     """
@@ -146,6 +152,7 @@ class ControlSource(Inlet):
                  account: SourceAccount | None = None) -> None:
         super().__init__('control', 'control', 'control', config, len(inputs), max_ahead, account)
         self._is_too_fast = is_too_fast
+        self._arrived_ns, self._in_a_tick = -1, 0
         try:
             fields.field_writer(self.type, config.fields, len(inputs))
         except ValueError as error:
@@ -157,4 +164,10 @@ class ControlSource(Inlet):
         if self._is_too_fast(values, stamp_ns / NANOSECONDS):
             raise Refused('too fast', 'expected one that carries no state across the whole grid '
                           f'in kernel.time_step, got {list(values)}')
-        return Control(stamp_ns, values)
+        return Control(stamp_ns if self.is_stamped else self._after_others(stamp_ns), values)
+
+    def _after_others(self, arrived_ns: int) -> int:
+        """Return when a control arrived, later by one for each that did at the same time."""
+        same = arrived_ns == self._arrived_ns
+        self._arrived_ns, self._in_a_tick = arrived_ns, self._in_a_tick + 1 if same else 0
+        return arrived_ns + self._in_a_tick

@@ -10,6 +10,7 @@ from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
+from pif_ros.fields import FLOAT_MAX
 from ros import PLANE
 from sensor_msgs.msg import JointState, LaserScan, Range
 from std_msgs.msg import Float64MultiArray
@@ -78,7 +79,7 @@ def _scan(msg: Any, values: Sequence[float]) -> None:
     # read are the first and the fourth
     msg.ranges = array.array('f', [value for pair in values for value in (pair, 7.0, 7.0)])
     # positions, which may be below 0: whatever is finite is within these limits
-    msg.range_min, msg.range_max = -3.402823466e38, 3.402823466e38
+    msg.range_min, msg.range_max = -FLOAT_MAX, FLOAT_MAX
 
 
 def _range(msg: Any, values: Sequence[float]) -> None:
@@ -114,7 +115,7 @@ INPUTS = {
                         _source('sensor_msgs/msg/JointState', ['position']), loose=True),
     'LaserScan': Input('fix', LaserScan, 2, _scan, _source(
         'sensor_msgs/msg/LaserScan', ['ranges[0]', 'ranges[3]']),
-        single=True, loose=True, longer=True),
+        single=True, loose=True, longer=True, limits=(-FLOAT_MAX, FLOAT_MAX)),
     'Odometry': Input('fix', Odometry, 2, _pose, _source('nav_msgs/msg/Odometry', _PAIR)),
     'TwistStamped': Input('drive', TwistStamped, 2, _stamped_twist, {**YARD, **_DRIVEN},
                           control=True, fastest=FASTEST),

@@ -88,6 +88,7 @@ class Twins:
         self._services = {s.srv_name.split('/')[-1]: s.callback for s in self.node.services}
         self._last: tuple[str, str, events.Sent] | None = None
         self._pose_ns = 0
+        self._unstamped: Counter[int] = Counter()
         self.left_the_grid = 0
 
     # What happens
@@ -132,8 +133,16 @@ class Twins:
                 f'{sent}')
             self.twin.counts[source, next(iter(found))] += 1
         else:
-            self.twin.put(source, sent if stamped else replace(sent, stamp_ns=self.now_ns))
+            self.twin.put(source, sent if stamped else replace(
+                sent, stamp_ns=self.now_ns + self._before(source)))
         self._follow()
+
+    def _before(self, source: str) -> int:
+        """Return how many unstamped controls came now already: each holds after the others."""
+        if source != 'control':
+            return 0
+        self._unstamped[self.now_ns] += 1
+        return self._unstamped[self.now_ns] - 1
 
     def start(self, start: events.Start) -> None:
         """Set the node down somewhere, and the twin where that is right."""

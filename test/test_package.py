@@ -4,6 +4,8 @@ import ast
 from importlib.metadata import Distribution
 import os
 from pathlib import Path
+import re
+import runpy
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -119,3 +121,17 @@ def test_an_installed_package_finds_its_configuration_in_the_share_folder(prefix
     found = subprocess.run([sys.executable, '-c', code], cwd=tmp_path, env=env,
                            check=True, capture_output=True, text=True).stdout.split()
     assert names and found == [str(prefix / 'share' / 'pif_ros' / name) for name in names]
+
+
+def test_make_has_a_shortcut_to_every_task():
+    [targets] = re.findall(r'^(\w[\w ]*):$', (ROOT / 'Makefile').read_text(), re.M)
+    assert set(targets.split()) == set(runpy.run_path(str(ROOT / 'tasks.py'))['TASKS'])
+
+
+def test_what_the_commands_of_the_readme_make_is_ignored_and_cleaned(monkeypatch):
+    made = set(re.findall(r'--out (\w+)', (ROOT / 'README.md').read_text())) - {'DIR'}
+    removed = []
+    monkeypatch.setattr('shutil.rmtree', lambda path, **_: removed.append(Path(path).name))
+    runpy.run_path(str(ROOT / 'tasks.py'))['TASKS']['clean']([])
+    assert made and made <= set(removed)
+    assert {f'/{name}/' for name in made} <= set((ROOT / '.gitignore').read_text().split())

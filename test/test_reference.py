@@ -10,8 +10,10 @@ from pif_ros.core.estimates import Rejection
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import KernelSettings
+from pif_ros.core.lost import AMBIGUOUS, SPREAD
 from pif_ros.core.steering import MOST_CONTROLS
 from pif_ros.reference import filled, tables
+from pif_ros.scenario import scenario, Settings
 import pytest
 
 README = Path(__file__).parent.parent / 'README.md'
@@ -46,6 +48,8 @@ def test_the_parameter_file_of_the_readme_makes_a_filter(tmp_path):
     path.write_text(block('yaml'), encoding='utf-8')
     tracker = build_tracker(Config.from_yaml(path))
     assert set(tracker.filter.sensors) == {'uwb', 'tower', 'gps'}
+    [remark] = tracker.filter.remarks()
+    assert "1% of the cells are wider than sensor 'tower' resolves" in remark
 
 
 def test_the_notebook_example_finds_both_signs(capsys):
@@ -55,6 +59,38 @@ def test_the_notebook_example_finds_both_signs(capsys):
     assert abs(float(mean.strip('[]'))) < 1e-9
     found = [float(x) for x in re.findall(r'array\(\[([^]]+)\]\)', modes)]
     assert sorted(found) == pytest.approx([-2.02, 2.02], abs=0.15)
+
+
+def test_the_smoothing_example_looks_back_at_both_signs(capsys):
+    scope = {}
+    exec(block('python', 'GridBelief'), scope)
+    capsys.readouterr()
+    exec(block('python', 'smoothing'), scope)
+    modes, evidence = capsys.readouterr().out.rsplit('] ', 1)
+    found = sorted(float(x) for x in re.findall(r'array\(\[([^]]+)\]\)', modes))
+    assert found == pytest.approx([-2.0, 2.0], abs=0.1)
+    # the filter's own: the product of what each measurement was expected with
+    df, belief, total = scope['df'], scope['df'].gaussian([0.0], np.eye(1)), 0.0
+    for k in range(20):
+        if k:
+            belief = df.predict(belief, (k - 1) * 10_000_000, k * 10_000_000)
+        belief, log_evidence = df.correct(belief, [4.0], 'y', k * 10_000_000)
+        total += log_evidence
+    assert float(evidence) == pytest.approx(total, rel=1e-9)
+
+
+def test_the_limits_of_being_found_are_those_of_the_code():
+    text = README.read_text(encoding='utf-8')
+    [limits] = re.findall(r'fills more than (\d+) % .*?less than (\d+) % of', text, re.S)
+    assert tuple(int(limit) / 100 for limit in limits) == (SPREAD, AMBIGUOUS)
+
+
+def test_the_robot_of_the_readme_can_be_simulated(tmp_path):
+    path = tmp_path / 'robot.yaml'
+    path.write_text(block('yaml'), encoding='utf-8')
+    played = scenario(Config.from_yaml(path), Settings(duration=1.0, rate=5.0))
+    assert {name: y.shape for name, y in played.measurements.items()} == {
+        'uwb': (6, 1), 'tower': (6, 1), 'gps': (6, 2)}
 
 
 def test_a_system_of_ones_own_works_as_the_readme_has_it():

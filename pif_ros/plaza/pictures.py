@@ -15,21 +15,26 @@ from pif_ros.plaza.looks import (BLUE, ellipses, GREY, INK, ORANGE, room, save, 
                                  VERMILION)
 from pif_ros.plaza.recording import Recording
 from pif_ros.plaza.report import Track
+from pif_ros.plaza.schedule import Span
 
 
-def draw_track(file: Path, recording: Recording, track: Track, every: float = 30.0) -> None:
+def draw_track(file: Path, recording: Recording, track: Track, every: float = 30.0,
+               span: Span = Span()) -> None:
     """
-    Write the estimates over the true track, with a 95 % ellipse every so many seconds.
+    Write the estimates over the true track of a span, with a 95 % ellipse every so many seconds.
 
     The first such time passes without one: the ellipse is as wide as the prior.
     """
+    first, last = span.limits_ns(recording)
+    played = (recording.truth_stamps_ns >= first) & (recording.truth_stamps_ns <= last)
+    truth = recording.truth[played, :2]
     with rc_context(STYLE):
         figure = Figure(figsize=(9.0, 7.9), layout=room(top=0.06))
         ax = figure.subplots()
         chosen = _every(track.stamps_ns, round(every * 1e9))[1:]
         ellipses(ax, track.means[chosen], track.covariances[chosen], edgecolors=ORANGE,
                  facecolors=ORANGE + '30', linewidths=1.0, zorder=1)
-        ax.plot(*recording.truth[:, :2].T, color=INK, lw=0.9, zorder=2, label='truth (GPS)')
+        ax.plot(*truth.T, color=INK, lw=0.9, zorder=2, label='truth (GPS)')
         ax.plot(*track.means.T, 'o', color=BLUE, ms=2.2, mew=0, alpha=0.75, zorder=3,
                 label='estimate, one per range')
         ax.plot([], [], 'o', ms=4.5, mec=ORANGE, mfc=ORANGE + '30',
@@ -38,8 +43,7 @@ def draw_track(file: Path, recording: Recording, track: Track, every: float = 30
             ax.plot(x, y, '^', ms=11, mec='black', mew=0.7, mfc=GREY, zorder=4)
             ax.annotate(f'beacon {beacon}', (x, y), xytext=(0, -17), ha='center',
                         textcoords='offset points')
-        everything = np.concatenate(
-            [recording.truth[:, :2], np.array(list(recording.beacons.values()))])
+        everything = np.concatenate([truth, np.array(list(recording.beacons.values()))])
         (left, low), (right, high) = everything.min(axis=0) - 6.0, everything.max(axis=0) + 6.0
         ax.set(xlim=(left, right), ylim=(low, high), aspect='equal', xlabel='x [m]',
                ylabel='y [m]')

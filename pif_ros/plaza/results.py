@@ -44,7 +44,7 @@ def write(run: Run, span: Span, params_file: Path, out: Path) -> str:
     taken = moments(run, telling_moments(run.recording, span, 'controls' in run.sent))
     if taken:
         draw_moments(out / 'density.png', run.recording, taken)
-    draw_track(out / 'track.png', run.recording, tracks[GRID].position())
+    draw_track(out / 'track.png', run.recording, tracks[GRID].position(), span=span)
     draw_errors(out / 'errors.png', run.recording, {name: tracks[name] for name in (GRID, EKF)})
     return text
 

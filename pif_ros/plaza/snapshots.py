@@ -70,8 +70,10 @@ def draw_moments(file: Path, recording: Recording, moments: Sequence[Moment]) ->
             image = _draw_moment(ax, recording, moment)
         for ax in axes.flat[len(moments):]:
             ax.set_axis_off()
-        for ax in axes[-1]:
+        # the lowest of each column, below which there may be nothing
+        for ax in axes.flat[max(len(moments) - 3, 0):len(moments)]:
             ax.set_xlabel('x [m]')
+            ax.tick_params(labelbottom=True)
         for ax in axes[:, 0]:
             ax.set_ylabel('y [m]')
         bar = figure.colorbar(image, ax=axes, shrink=0.6, aspect=36, pad=0.01,

@@ -159,13 +159,19 @@ def marginal_picture(panels: Mapping[str, tuple[Mapping[str, tuple[Array, Array]
     return figure
 
 
-def cloud_picture(record: Record, clouds: Mapping[str, Array], axis: int, label: str,
+def cloud_picture(record: Record, clouds: Mapping[str, Array],
+                  films: Mapping[str, tuple[Array, Grid]], axis: int, label: str,
                   every: int = 1) -> Figure:
-    """Return particles (k, n, N) over time, a row for each cloud, with the truth on them."""
-    t = record.stamps_ns * _NANO
+    """
+    Return particles (k, n, N) over time, a row for each cloud, with the truth on them.
+
+    films: by title densities of the same state, (k, cells) after each measurement, for the rows
+    below, and the grid whose only axis they are on.
+    """
+    t, count = record.stamps_ns * _NANO, len(clouds) + len(films)
     with styled():
-        figure = framed(9.0, 0.8 + 2.4 * len(clouds))
-        rows = figure.subplots(len(clouds), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+        figure = framed(9.0, 0.8 + 2.4 * count)
+        rows = figure.subplots(count, 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         for ax, (title, cloud) in zip(rows, clouds.items()):
             at = np.repeat(t[::every], cloud.shape[2])
             ax.plot(at, cloud[:, axis].ravel(), 'o', ms=1.2, mew=0, color=BLUE, alpha=0.25,
@@ -173,8 +179,17 @@ def cloud_picture(record: Record, clouds: Mapping[str, Array], axis: int, label:
             ax.plot([], [], 'o', ms=4, mew=0, color=BLUE, label='particles')
             ax.plot(t, record.truth[:, axis], color=VERMILION, lw=1.1, label='truth')
             ax.set(title=title, ylabel=label)
+        limits = rows[0].get_ylim()
+        for ax, (title, (film, grid)) in zip(rows[len(clouds):], films.items()):
+            share = film / film.max(axis=1, keepdims=True)
+            ax.imshow(np.where(share > _FLOOR, share, np.nan).T, origin='lower', aspect='auto',
+                      cmap='Blues', norm=LogNorm(_FLOOR, 1.0), interpolation='nearest',
+                      extent=(t[0], t[-1], grid.lower[0], grid.upper[0]))
+            ax.plot(t, record.truth[:, axis], color=VERMILION, lw=1.1)
+            ax.set(title=title, ylabel=label, ylim=limits)
+        rows[0].plot([], [], 's', ms=8, color=BLUE, label='density relative to its peak')
         _over_time(rows)
-        legend_on_top(figure, rows[0], 2)
+        legend_on_top(figure, rows[0], 3)
     return figure
 
 

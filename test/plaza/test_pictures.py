@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 import numpy as np
+from pif_ros.plaza import pictures
 from pif_ros.plaza.pictures import draw_errors, draw_track
 from pif_ros.plaza.recording import Recording
 from pif_ros.plaza.report import Track
+from pif_ros.plaza.schedule import Span
 import pytest
 
 
@@ -24,6 +27,20 @@ def test_tracks_and_errors_are_drawn(tmp_path: Path, small: Recording) -> None:
     draw_errors(tmp_path / 'errors.png', small, {'one': track, 'other': track})
     for name in ('track.png', 'errors.png'):
         assert imread(tmp_path / name).shape[1] == 1800
+
+
+def test_a_track_is_held_against_the_truth_of_what_was_played(
+        small: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(pictures, 'save', lambda figure, file: drawn.append(figure))
+    for span in (Span(), Span(5.0, 20.0)):
+        draw_track(Path(), small, estimated(small, 2), span=span)
+    whole, part = ({line.get_label(): line.get_xydata() for line in figure.axes[0].lines}
+                   ['truth (GPS)'] for figure in drawn)
+    np.testing.assert_array_equal(whole, small.truth[:, :2])
+    seconds = small.seconds(small.truth_stamps_ns)
+    np.testing.assert_array_equal(part, [pose[:2] for pose, at in zip(small.truth, seconds)
+                                         if 5.0 <= at <= 25.0])
 
 
 def test_headings_have_a_row_of_errors_of_their_own(tmp_path: Path, small: Recording) -> None:

@@ -3,8 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 import numpy as np
+from pif_ros.plaza import snapshots
 from pif_ros.plaza.recording import Recording
 from pif_ros.plaza.snapshots import draw_moments, Moment
 import pytest
@@ -25,6 +27,19 @@ def test_moments_are_drawn_three_in_a_row(tmp_path: Path, small: Recording, coun
     height, width = imread(tmp_path / 'p.png').shape[:2]
     assert width == 1800
     assert (height > 0.5 * width) == (count > 3)
+
+
+@pytest.mark.parametrize(('count', 'lowest'), [(2, {0, 1}), (4, {1, 2, 3}), (6, {3, 4, 5})])
+def test_the_lowest_of_each_column_has_an_axis_of_x(
+        small: Recording, monkeypatch: pytest.MonkeyPatch, count: int, lowest: set[int]) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(snapshots, 'save', lambda figure, file: drawn.append(figure))
+    draw_moments(Path(), small, [moment(small, (-3.0, 20.0, 10.0))] * count)
+    panels = [ax for ax in drawn[0].axes if ax.get_title(loc='left') == 'A title']
+    assert len(panels) == count
+    assert {k for k, ax in enumerate(panels) if ax.get_xlabel() == 'x [m]'} == lowest
+    assert {k for k, ax in enumerate(panels)
+            if ax.xaxis.get_major_ticks()[0].label1.get_visible()} == lowest
 
 
 @pytest.mark.parametrize('humps', [

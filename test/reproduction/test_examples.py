@@ -8,6 +8,7 @@ import numpy as np
 from pif_ros.reproduction.catalogue import EXAMPLES, find
 from pif_ros.reproduction.examples import (arctangent_sensor, coupled_trigonometric, cubic_bearing,
                                            cubic_sensor, multiplicative_4d, sine_cubic_drift)
+from pif_ros.reproduction.pictures import cloud_picture
 from pif_ros.reproduction.smoothing_case import APART
 from pif_ros.reproduction.study import Outcome
 import pytest
@@ -117,3 +118,17 @@ def test_every_picture_can_be_drawn(name, tmp_path):
     for file, figure in pictures.items():
         figure.savefig(tmp_path / file)
         assert (tmp_path / file).stat().st_size > 10_000
+
+
+def test_below_the_clouds_the_grid_is_shown_with_both_signs():
+    record = outcome('tm-4', 0).exhibit.record
+    grid = sine_cubic_drift.FINE
+    x, count = grid.axes[0], len(record.stamps_ns)
+    film = np.tile(np.exp(-(np.abs(x) - 4.0)**2), (count, 1))
+    figure = cloud_picture(record, {'SIR': np.ones((count // 2, 1, 5))}, {'grid': (film, grid)},
+                           0, 'x', 2)
+    below = figure.axes[-1]
+    assert below.get_title(loc='left') == 'grid'
+    shown = below.images[0].get_array()
+    np.testing.assert_array_equal(shown.mask, shown.mask[::-1])
+    assert shown[np.abs(x + 4.0).argmin(), 0] == shown[np.abs(x - 4.0).argmin(), 0] > 0.99

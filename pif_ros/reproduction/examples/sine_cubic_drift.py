@@ -95,6 +95,6 @@ def draw(exhibits: Mapping[str, Followed]) -> dict[str, Figure]:
             'best, cells of 0.05': (tracks[BEST].read['film'], FINE, 0)}, 'x', (-top, top)),
         'clouds.png': cloud_picture(record, {
             f'{name}, 200 particles': tracks[name].read['cloud'] for name in (SIR, OTHER)},
-            0, 'x', EVERY),
+            {BEST: (tracks[BEST].read['film'], FINE)}, 0, 'x', EVERY),
         'errors.png': error_picture(record, np.abs(record.truth), {
             name: tracks[name] for name in (PRINTED, BEST, SIR)}, 'error of |x|')}
