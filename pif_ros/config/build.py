@@ -24,6 +24,8 @@ Made = TypeVar('Made')
 
 #: Cells on an axis beyond which they cannot be numbered, halved and told apart.
 MOST_CELLS = 2**40
+#: By what share of it a full turn may be off: pi may be written as 3.1416.
+FULL_TURN = 1e-5
 
 
 def build_tracker(config: Config, filter_: Filter[Any] | None = None,
@@ -67,8 +69,19 @@ def find_grid(config: Config, model: StateModel) -> Grid:
         raise ConfigError(f'grid.shape: expected at most {MOST_CELLS} cells on an axis, '
                           f'got {list(config.grid.shape)}')
     with named('grid'):
-        return Grid(config.grid.lower, config.grid.upper, config.grid.shape,
+        grid = Grid(config.grid.lower, config.grid.upper, config.grid.shape,
                     config.grid.periodic)
+    _check_turns(grid, model)
+    return grid
+
+
+def _check_turns(grid: Grid, model: StateModel) -> None:
+    """Refuse an angle that comes round again after anything else than a full turn."""
+    for i in model.angles:
+        low, high = grid.lower[i], grid.upper[i]
+        if grid.periodic[i] and not math.isclose(high - low, 2 * math.pi, rel_tol=FULL_TURN):
+            raise ConfigError(f'grid.upper: expected 2 pi above grid.lower for {model.names[i]!r},'
+                              f' an angle in radians, got {high!r} above {low!r}')
 
 
 def find_system(config: Config) -> System:

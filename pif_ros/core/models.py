@@ -38,7 +38,8 @@ class StateModel:
     any, the drift is f(x, u, t) with u (m,), its Jacobian likewise, and under(u) is the model that
     can be asked for them; homogeneous: the states that the drift does not depend on; scale: the
     lengths, one per state, over which f and e change where their derivatives are taken by central
-    differences, 1 for each where none is given.
+    differences, 1 for each where none is given; angles: the states that are angles in radians, the
+    same after a full turn.
     """
 
     names: tuple[str, ...]
@@ -55,13 +56,16 @@ class StateModel:
     inputs: tuple[str, ...] = ()
     homogeneous: tuple[int, ...] = ()
     scale: tuple[float, ...] = ()
+    angles: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a constant e or Q that does not fit the states, or is none."""
         columns = None
-        if any(not 0 <= i < self.ndim for i in self.homogeneous):
-            raise ValueError(f'homogeneous: expected numbers of states, 0 to {self.ndim - 1}, '
-                             f'got {list(self.homogeneous)}')
+        for name in ('homogeneous', 'angles'):
+            given = getattr(self, name)
+            if any(not 0 <= i < self.ndim for i in given):
+                raise ValueError(f'{name}: expected numbers of states, 0 to {self.ndim - 1}, '
+                                 f'got {list(given)}')
         if self.scale and (len(self.scale) != self.ndim or not all(v > 0 for v in self.scale)):
             raise ValueError(f'scale: expected {self.ndim} positive lengths, one for each state, '
                              f'got {list(self.scale)}')

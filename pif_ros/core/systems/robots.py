@@ -42,7 +42,8 @@ def unicycle_2d(sigma_position: float = 0.1, sigma_heading: float = 0.1) -> Syst
         return D
 
     model = StateModel(('x', 'y', 'theta'), drift, np.diag([p, p, h]), drift_jacobian=jacobian,
-                       units=('m', 'm', 'rad'), inputs=('v', 'omega'), homogeneous=(0, 1))
+                       units=('m', 'm', 'rad'), inputs=('v', 'omega'), homogeneous=(0, 1),
+                       angles=(2,))
     return System(model, {'position': position_sensor, 'range': range_sensor,
                           'bearing': bearing_sensor, 'heading': heading_sensor,
                           'relative_bearing': relative_bearing_sensor})
