@@ -85,5 +85,6 @@ def relative_bearing_sensor(landmark: Sequence[float], sigma: float, bias: float
 def _point(landmark: Sequence[float]) -> tuple[float, float]:
     point = np.asarray(landmark)
     if point.shape != (2,) or point.dtype.kind not in 'iuf' or not np.all(np.isfinite(point)):
-        raise ValueError(f'landmark: expected 2 finite numbers, got {landmark}')
+        given = list(landmark) if isinstance(landmark, tuple) else landmark
+        raise ValueError(f'landmark: expected 2 finite numbers, got {given}')
     return float(landmark[0]), float(landmark[1])
