@@ -1,10 +1,12 @@
 """Configurations that look right: angles that do not come round, a package's own mistakes."""
 
+import math
 from math import pi
 
-from pif_ros.config import build_tracker, Config, ConfigError, remarks
-from pif_ros.core.models import StateModel
-from pif_ros.core.systems import SYSTEMS
+import numpy as np
+from pif_ros.config import build, build_tracker, Config, ConfigError, remarks
+from pif_ros.core.models import Sensor, StateModel
+from pif_ros.core.systems import System, SYSTEMS
 import pytest
 from ros import Rig
 
@@ -66,3 +68,70 @@ def test_a_full_turn_is_2_pi_from_wherever_it_begins():
 def test_the_node_says_so_at_its_start(graph):
     rig = Rig(graph, {**ROBOT, 'filter.type': 'ekf', 'grid.periodic': [False] * 3})
     assert "'theta' is an angle" in rig.line('grid.periodic')
+
+
+# Mistakes in a system of another package
+
+
+def fails(sigma=1.0):
+    raise RuntimeError('my bug')
+
+
+def system(model, h=lambda x, t: x[:1], **given):
+    """Return what makes a system of two states, with mistakes of its own."""
+    return lambda sigma=1.0: System(StateModel(**{
+        'names': ('a', 'b'), 'drift': lambda x, t: -x, 'vielbein': np.eye(2), **model}), {
+            'first': lambda: Sensor(h, **{'covariance': np.eye(1), **given})})
+
+
+OTHERS = {
+    'right': (system({}), ''),
+    'raises': (fails, "model.name 'raises': RuntimeError: my bug"),
+    'row': (system({'drift': lambda x, t: -x[0]}),
+            "model.name 'row': drift(x, t): expected shape (2, 5), got (5,)"),
+    'driven': (system({'drift': lambda x, u, t: u, 'inputs': ('v',)}),
+               "model.name 'driven': drift(x, u, t): expected shape (2, 5), got (1,)"),
+    'one': (system({'drift': lambda x, t: np.array([math.sin(x[0]), 0])}),
+            "model.name 'one': drift(x, t): TypeError: "),
+    'lines': (system({'drift': lambda x, t: 1 / 0}),
+              "model.name 'lines': drift(x, t): ZeroDivisionError: division by zero"),
+    'slope': (system({'drift_jacobian': lambda x, t: np.eye(2)}),
+              "model.name 'slope': drift_jacobian(x, t): expected shape (2, 2, 5), got (2, 2)"),
+    'flat': (system({'vielbein': np.array([0.0, 1.0])}),
+             "model.name 'flat': ValueError: vielbein: expected 2 rows of finite numbers, one "
+             'for each state, got [0.0, 1.0]'),
+    'late': (system({'vielbein': lambda t: np.eye(3)}),
+             "model.name 'late': vielbein(t): expected shape (2, p), got (3, 3)"),
+    'bent': (system({'vielbein': lambda x, t: np.eye(2), 'multiplicative': True}),
+             "model.name 'bent': vielbein(x, t): expected shape (2, p, 5), got (2, 2)"),
+    'number': (system({}, lambda x, t: x[0]),
+               'measurements.main.sensor: h(x, t): expected shape (1, 5), got (5,)'),
+    'none': (system({}, lambda x, t: x[:1], covariance=lambda t: [[1.0, 0.0]]),
+             'measurements.main.sensor: covariance(t): expected shape (m, m), got (1, 2)')}
+
+
+def test_a_mistake_in_a_system_is_named_by_model_and_function_in_one_line(monkeypatch):
+    monkeypatch.setattr(build, 'SYSTEMS', {name: maker for name, (maker, _) in OTHERS.items()})
+    plane = {'grid.lower': [-2.0] * 2, 'grid.upper': [2.0] * 2, 'grid.shape': [10, 10],
+             'prior.type': 'uniform'}
+    build_tracker(Config.from_parameters({**plane, 'model.name': 'right'}))
+    for name, (_, line) in OTHERS.items():
+        if line:
+            with pytest.raises(ConfigError) as error:
+                build_tracker(Config.from_parameters({**plane, 'model.name': name}))
+            assert str(error.value).startswith(line) and '\n' not in str(error.value)
+
+
+# Sensors
+
+
+def test_a_sensor_that_was_assumed_is_named():
+    of = " (of sensor 'position', the first, since measurements.main.sensor is not set), got "
+    line = refusal(measurements__main__params__landmark=[1.0, 2.0])
+    assert line == f'measurements.main.params.landmark: expected one of sigma{of}[1.0, 2.0]'
+    config = {k: v for k, v in ROBOT.items() if k != 'measurements.main.params.sigma'}
+    with pytest.raises(ConfigError) as error:
+        build_tracker(Config.from_parameters(config))
+    assert str(error.value) == f'measurements.main.params.sigma: expected a value{of}none'
+    named = refusal(measurements__main__sensor='range', measurements__main__params__landmark=[1.0])
+    assert named == 'measurements.main.params.landmark: expected 2 finite numbers, got [1.0]'
