@@ -98,7 +98,7 @@ OTHERS = {
     'slope': (system({'drift_jacobian': lambda x, t: np.eye(2)}),
               "model.name 'slope': drift_jacobian(x, t): expected shape (2, 2, 5), got (2, 2)"),
     'flat': (system({'vielbein': np.array([0.0, 1.0])}),
-             "model.name 'flat': ValueError: vielbein: expected 2 rows of finite numbers, one "
+             "model.name 'flat': vielbein: expected 2 rows of finite numbers, one "
              'for each state, got [0.0, 1.0]'),
     'late': (system({'vielbein': lambda t: np.eye(3)}),
              "model.name 'late': vielbein(t): expected shape (2, p), got (3, 3)"),
@@ -123,6 +123,12 @@ def test_a_mistake_in_a_system_is_named_by_model_and_function_in_one_line(monkey
 
 
 # Sensors
+
+
+def test_a_compass_that_says_next_to_nothing_is_refused():
+    line = refusal(measurements__main__sensor='heading', measurements__main__params__sigma=2.0)
+    assert line == ('measurements.main.sensor: covariance: expected a standard deviation of at '
+                    'most 1 rad of an angle, which is cut at half a turn, got 2')
 
 
 def test_a_sensor_that_was_assumed_is_named():

@@ -41,7 +41,8 @@ def _check_sensor(owner: str, sensor: Sensor, x: np.ndarray) -> None:
 
 def said(error: Exception) -> str:
     """Return what went wrong in a function of another package, in a line."""
-    return f'{type(error).__name__}: {" ".join(str(error).split())}'
+    line = ' '.join(str(error).split())
+    return line if ': expected ' in line else f'{type(error).__name__}: {line}'
 
 
 def _places(grid: Grid) -> np.ndarray:

@@ -18,6 +18,8 @@ Matrix = Array | Callable[[float], Array]
 
 #: A function is taken to change over so many cells, or standard deviations, but a unit at most.
 WIDTHS = 100.0
+#: Standard deviations of an angle's noise beyond which more than 0.2 % lie past half a turn.
+WIDEST_ANGLE = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +202,8 @@ class Sensor:
     A measurement y = h(x, t) + w, w ~ N(0, R)  [Sensors, Eq. 7].
 
     function: h(x, t) maps states (n, ...) to measurements (m, ...); covariance: R, (m, m) or a
-    function of t; angular: which components are angles in radians, compared on the circle;
+    function of t; angular: which components are angles in radians, compared on the circle, where
+    the noise is cut at half a turn, so that its standard deviation is 1 at most (0.2 % are cut);
     time_dependent: whether h depends on t; states: those that h depends on, where that is known.
     """
 
@@ -219,6 +222,11 @@ class Sensor:
             if self.angular and len(self.angular) != len(R):
                 raise ValueError(f'angular: expected {len(R)} values, one for each component, '
                                  f'got {len(self.angular)}')
+            widest = max((R[i, i]**0.5 for i in np.flatnonzero(self.angular)), default=0.0)
+            if widest > WIDEST_ANGLE:
+                raise ValueError('covariance: expected a standard deviation of at most '
+                                 f'{WIDEST_ANGLE:g} rad of an angle, which is cut at half a '
+                                 f'turn, got {widest:g}')
 
     @cached_property
     def size(self) -> int:
