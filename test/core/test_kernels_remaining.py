@@ -3,6 +3,7 @@
 import numpy as np
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels import dirac_feynman, KernelSettings, split, split_kernel
+from pif_ros.core.kernels.directions import integer_directions
 from pif_ros.core.kernels.stored import fingerprint
 from pif_ros.core.kernels.tilted import half_width, lattice_weights
 from pif_ros.core.models import StateModel
@@ -63,3 +64,18 @@ def test_a_drift_that_differs_on_one_midpoint_only_has_another_fingerprint():
     grid, settings = Grid((0, 0), (2, 2), (10, 10)), KernelSettings(0.1)
     plain, other = (StateModel(('x', 'y'), f, np.eye(2)) for f in (lambda x, t: -x, kinked))
     assert fingerprint(plain, grid, settings) != fingerprint(other, grid, settings)
+
+
+@pytest.mark.parametrize('rho', [0.3, 0.5, 0.9, 0.999999])
+def test_noise_that_is_long_on_one_axis_is_widened_by_no_more_than_is_said(rho):
+    def widened(long, short):
+        D = np.array([[long**2, rho * long * short], [rho * long * short, short**2]])
+        axes, others = integer_directions(D, 32)
+        return np.diag(axes) + sum(w * np.outer(v, v) for w, v in others) - D
+
+    for long in (50.0, 100.0, 300.0):
+        more = widened(long, 1.0)
+        np.testing.assert_allclose(more, more[0, 0] * np.eye(2), atol=1e-8)
+        assert -1e-8 <= more[0, 0] < (long**2 + 1) / 32**2 / 2
+    # nothing where it is as long on both
+    assert rho > 0.99 or np.abs(widened(100.0, 100.0)).max() < 1e-8
