@@ -8,8 +8,8 @@ from typing import Any
 
 from pif_ros import parameters
 from pif_ros.accounts import Accounts, Throttle
-from pif_ros.config import (build_tracker, Config, ConfigError, describe, find_grid,
-                            find_system)
+from pif_ros.config import (build_tracker, Config, ConfigError, describe, find_grid, find_system,
+                            remarks)
 from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.continuous import PathBelief
 from pif_ros.core.estimates import Estimate, Memory
@@ -313,7 +313,7 @@ class FilterNode(ManagedNode):
         what = describe(self.config, self.tracker.filter)
         self.get_logger().info(f'{self.config.model.name}: {what}, made in '
                                f'{time.perf_counter() - began:.2f} s')
-        for remark in [*self.tracker.filter.remarks(), *self._speed()]:
+        for remark in [*remarks(self.config, self.tracker.filter), *self._speed()]:
             self.get_logger().warning(remark)
 
     def _speed(self) -> list[str]:

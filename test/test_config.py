@@ -116,7 +116,7 @@ WRONG = [
     wrong('publish.rate', NAN, 'number'),
     wrong('model.params.sigma_y', NAN, 'finite'),
     wrong('model.params.sigma_y', INF, 'finite'),
-    wrong('measurements.main.params.landmark', [NAN, 0.0], 'finite', of=RANGE, got='(nan'),
+    wrong('measurements.main.params.landmark', [NAN, 0.0], 'finite', of=RANGE, got='[nan'),
     # other types
     wrong('kernel.time_step', 'fast', 'number'),
     wrong('kernel.time_step', True, 'number'),
@@ -135,7 +135,7 @@ WRONG = [
     wrong('model.params.sigma_x', 'one', 'number'),
     wrong('measurements.main.params.landmark', 3.0, '2 finite numbers', of=RANGE),
     wrong('measurements.main.params.landmark', [1.0, 2.0, 3.0], '2 finite numbers', of=RANGE,
-          got='(1.0, 2.0, 3.0)'),
+          got='[1.0, 2.0, 3.0]'),
     wrong('measurements.main.fields', [0, 1], 'names'),
     wrong('use_sim_time', 'yes', 'true or false'),
     # out of bounds

@@ -61,7 +61,7 @@ LAYERS = [
     ['config.sections'],
     ['config.table'],
     ['config.filters'],
-    ['config.guard'],
+    ['config.guard', 'config.probe'],
     ['config.build'],
     ['config.identity'],
     ['config.bank'],

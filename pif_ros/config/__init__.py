@@ -2,7 +2,7 @@
 
 from pif_ros.config.bank import FilterOfMany
 from pif_ros.config.build import build_filter, build_tracker, find_grid, find_system, state_axes
-from pif_ros.config.filters import describe, gaussian_of, OF_A_PATH, uniform_of
+from pif_ros.config.filters import describe, gaussian_of, OF_A_PATH, remarks, uniform_of
 from pif_ros.config.identity import identity
 from pif_ros.config.kinds import ConfigError
 from pif_ros.config.sections import ControlConfig, DiagnosticsConfig, SourceConfig
@@ -10,5 +10,5 @@ from pif_ros.config.table import Config, specifications
 
 __all__ = ['Config', 'ConfigError', 'ControlConfig', 'DiagnosticsConfig', 'FilterOfMany',
            'OF_A_PATH', 'SourceConfig', 'build_filter', 'build_tracker', 'describe', 'find_grid',
-           'find_system', 'gaussian_of', 'identity', 'specifications', 'state_axes',
+           'find_system', 'gaussian_of', 'identity', 'remarks', 'specifications', 'state_axes',
            'uniform_of']

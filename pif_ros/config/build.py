@@ -13,6 +13,7 @@ import numpy as np
 from pif_ros.config.filters import gaussian_of, make_filter, uniform_of
 from pif_ros.config.guard import make_guard
 from pif_ros.config.kinds import ConfigError, named
+from pif_ros.config.probe import check_functions, said
 from pif_ros.config.table import Config
 from pif_ros.core.filters import Filter
 from pif_ros.core.grid import Grid
@@ -24,6 +25,8 @@ Made = TypeVar('Made')
 
 #: Cells on an axis beyond which they cannot be numbered, halved and told apart.
 MOST_CELLS = 2**40
+#: By what share of it a full turn may be off: pi may be written as 3.1416.
+FULL_TURN = 1e-5
 
 
 def build_tracker(config: Config, filter_: Filter[Any] | None = None,
@@ -34,11 +37,12 @@ def build_tracker(config: Config, filter_: Filter[Any] | None = None,
     filter_: the filter of this configuration where there is one already.
     """
     system = find_system(config)
+    grid, sensors = find_grid(config, system.model), find_sensors(config, system)
+    check_functions(config.model.name, system.model, grid, sensors)
     if filter_ is None:
         filter_ = build_filter(config, system)
     prior = _prior(config, filter_, system.model)
-    guard = make_guard(config, filter_, prior, find_grid(config, system.model),
-                       find_sensors(config, system))
+    guard = make_guard(config, filter_, prior, grid, sensors)
     return kind(filter_, prior, config.time.history, config.time.history_memory * 1e6,
                 config.control.hold, guard)
 
@@ -67,14 +71,25 @@ def find_grid(config: Config, model: StateModel) -> Grid:
         raise ConfigError(f'grid.shape: expected at most {MOST_CELLS} cells on an axis, '
                           f'got {list(config.grid.shape)}')
     with named('grid'):
-        return Grid(config.grid.lower, config.grid.upper, config.grid.shape,
+        grid = Grid(config.grid.lower, config.grid.upper, config.grid.shape,
                     config.grid.periodic)
+    _check_turns(grid, model)
+    return grid
+
+
+def _check_turns(grid: Grid, model: StateModel) -> None:
+    """Refuse an angle that comes round again after anything else than a full turn."""
+    for i in model.angles:
+        low, high = grid.lower[i], grid.upper[i]
+        if grid.periodic[i] and not math.isclose(high - low, 2 * math.pi, rel_tol=FULL_TURN):
+            raise ConfigError(f'grid.upper: expected 2 pi above grid.lower for {model.names[i]!r},'
+                              f' an angle in radians, got {high!r} above {low!r}')
 
 
 def find_system(config: Config) -> System:
     """Return the system that is named, with its constants."""
     name = config.model.name
-    system = _made('model.params', _maker(name), config.model.params)
+    system = _made('model.params', _maker(name), config.model.params, f'model.name {name!r}')
     if not isinstance(system, System):
         raise ConfigError(f'model.name: expected an entry point that makes a System, got {name!r},'
                           f' which makes {system!r}')
@@ -176,7 +191,14 @@ def _sensor(config: Config, source: str, system: System) -> Sensor:
     if name not in system.sensors:
         raise ConfigError(f'{prefix}.sensor: expected one of {", ".join(system.sensors)}, '
                           f'got {name!r}')
-    return _made(f'{prefix}.params', system.sensors[name], given.params)
+    first = '' if given.sensor else (f' (of sensor {name!r}, the first, since {prefix}.sensor is '
+                                     'not set)')
+    sensor = _made(f'{prefix}.params', system.sensors[name], given.params, f'{prefix}.sensor',
+                   first)
+    if not isinstance(sensor, Sensor):
+        raise ConfigError(f'{prefix}.sensor: expected one that is made as a Sensor, got {name!r}, '
+                          f'which is made as {sensor!r}')
+    return sensor
 
 
 def _loaded(entry: EntryPoint) -> Callable[..., System]:
@@ -191,24 +213,33 @@ def _loaded(entry: EntryPoint) -> Callable[..., System]:
     return maker
 
 
-def _made(prefix: str, maker: Callable[..., Made], params: Mapping[str, Any]) -> Made:
-    """Return what a maker makes of some constants; ConfigError where they do not suit it."""
+def _made(prefix: str, maker: Callable[..., Made], params: Mapping[str, Any], owner: str,
+          which: str = '') -> Made:
+    """
+    Return what a maker makes of some constants; ConfigError where they do not suit it.
+
+    owner: what is to blame where none of the constants is; which: what else to say of the maker.
+    """
     wanted = inspect.signature(maker).parameters
     for name in params:
         if name not in wanted:
             raise ConfigError(f'{prefix}.{name}: expected one of '
-                              f'{", ".join(wanted) or "no constants"}, got {params[name]!r}')
+                              f'{", ".join(wanted) or "no constants"}{which}, '
+                              f'got {params[name]!r}')
     for name, spec in wanted.items():
         if spec.default is spec.empty and name not in params:
-            raise ConfigError(f'{prefix}.{name}: expected a value, got none')
+            raise ConfigError(f'{prefix}.{name}: expected a value{which}, got none')
     values = {name: _constant(f'{prefix}.{name}', value, wanted[name].default)
               for name, value in params.items()}
     try:
-        with named(prefix):
-            return maker(**values)
+        return maker(**values)
     except ArithmeticError as error:
         raise ConfigError(f'{prefix}: expected constants that can be reckoned with, '
                           f'got {dict(params)} ({error.args[-1]})') from None
+    except Exception as error:  # noqa: B902  whatever foreign code may raise
+        if str(error).partition(':')[0] in wanted:
+            raise ConfigError(f'{prefix}.{error}') from None
+        raise ConfigError(f'{owner}: {said(error)}') from None
 
 
 def _constant(name: str, value: Any, default: Any) -> Any:

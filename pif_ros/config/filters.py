@@ -143,6 +143,15 @@ def describe(config: Config, filter_: Filter[Any]) -> str:
         raise ConfigError(f'{section}.{text}' if section else f'model.name: {text}') from None
 
 
+def remarks(config: Config, filter_: Filter[Any]) -> list[str]:
+    """Return what a user should know of how well a filter can work, a sentence each."""
+    model, grid = filter_.model, config.grid
+    return [f'grid.periodic: {model.names[i]!r} is an angle in radians, but is lost past '
+            f'{grid.lower[i]:g} and {grid.upper[i]:g}; where it may turn so far, let it be true, '
+            'and 2 pi from lower to upper'
+            for i in model.angles if not any(grid.periodic[i:i + 1])] + filter_.remarks()
+
+
 def _settings(config: Config) -> KernelSettings:
     kernel = config.kernel
     with named('kernel'):

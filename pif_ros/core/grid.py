@@ -10,6 +10,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+#: Widths of cells whose volumes and variances are numbers, on four axes too.
+NARROWEST, WIDEST = 1e-70, 1e70
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -47,6 +50,9 @@ class Grid:
                                  f'got {low:g} and {high:g}')
             if cells < 2:
                 raise ValueError(f'shape: expected at least 2 cells on axis {i}, got {cells}')
+            if not NARROWEST < (high - low) / cells < WIDEST:
+                raise ValueError(f'upper: expected cells from {NARROWEST:g} to {WIDEST:g} wide on '
+                                 f'axis {i}, got {(high - low) / cells:g}')
 
     @property
     def ndim(self) -> int:

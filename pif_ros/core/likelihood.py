@@ -74,7 +74,8 @@ class GridLikelihood:
             return []
         cure = ('its likelihood is averaged over such cells where the belief is'
                 if self.average_cells else 'filter.average_cells is off, so variances are wrong')
-        return [f'grid.shape: {len(coarse) / self.grid.size:.0%} of the cells are wider than '
+        share = f'{len(coarse) / self.grid.size:.0%}'
+        return [f'grid.shape: {"some" if share == "0%" else share} of the cells are wider than '
                 f'sensor {name!r} resolves, up to {float(width.max()):.1f} of its standard '
                 f'deviations; {cure}']
 

@@ -18,6 +18,8 @@ Matrix = Array | Callable[[float], Array]
 
 #: A function is taken to change over so many cells, or standard deviations, but a unit at most.
 WIDTHS = 100.0
+#: Standard deviations of an angle's noise beyond which more than 0.2 % lie past half a turn.
+WIDEST_ANGLE = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,8 @@ class StateModel:
     any, the drift is f(x, u, t) with u (m,), its Jacobian likewise, and under(u) is the model that
     can be asked for them; homogeneous: the states that the drift does not depend on; scale: the
     lengths, one per state, over which f and e change where their derivatives are taken by central
-    differences, 1 for each where none is given.
+    differences, 1 for each where none is given; angles: the states that are angles in radians, the
+    same after a full turn.
     """
 
     names: tuple[str, ...]
@@ -55,13 +58,16 @@ class StateModel:
     inputs: tuple[str, ...] = ()
     homogeneous: tuple[int, ...] = ()
     scale: tuple[float, ...] = ()
+    angles: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a constant e or Q that does not fit the states, or is none."""
         columns = None
-        if any(not 0 <= i < self.ndim for i in self.homogeneous):
-            raise ValueError(f'homogeneous: expected numbers of states, 0 to {self.ndim - 1}, '
-                             f'got {list(self.homogeneous)}')
+        for name in ('homogeneous', 'angles'):
+            given = getattr(self, name)
+            if any(not 0 <= i < self.ndim for i in given):
+                raise ValueError(f'{name}: expected numbers of states, 0 to {self.ndim - 1}, '
+                                 f'got {list(given)}')
         if self.scale and (len(self.scale) != self.ndim or not all(v > 0 for v in self.scale)):
             raise ValueError(f'scale: expected {self.ndim} positive lengths, one for each state, '
                              f'got {list(self.scale)}')
@@ -196,7 +202,8 @@ class Sensor:
     A measurement y = h(x, t) + w, w ~ N(0, R)  [Sensors, Eq. 7].
 
     function: h(x, t) maps states (n, ...) to measurements (m, ...); covariance: R, (m, m) or a
-    function of t; angular: which components are angles in radians, compared on the circle;
+    function of t; angular: which components are angles in radians, compared on the circle, where
+    the noise is cut at half a turn, so that its standard deviation is 1 at most (0.2 % are cut);
     time_dependent: whether h depends on t; states: those that h depends on, where that is known.
     """
 
@@ -215,6 +222,11 @@ class Sensor:
             if self.angular and len(self.angular) != len(R):
                 raise ValueError(f'angular: expected {len(R)} values, one for each component, '
                                  f'got {len(self.angular)}')
+            widest = max((R[i, i]**0.5 for i in np.flatnonzero(self.angular)), default=0.0)
+            if widest > WIDEST_ANGLE:
+                raise ValueError('covariance: expected a standard deviation of at most '
+                                 f'{WIDEST_ANGLE:g} rad of an angle, which is cut at half a '
+                                 f'turn, got {widest:g}')
 
     @cached_property
     def size(self) -> int:

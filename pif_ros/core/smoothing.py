@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 import math
@@ -13,6 +13,7 @@ from pif_ros.core.belief import GridBelief
 from pif_ros.core.estimates import Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.core.kernels import Operator
+from pif_ros.core.models import Sensor
 
 Array = NDArray[np.float64]
 
@@ -64,13 +65,16 @@ def smooth(filter_: DiracFeynmanFilter, prior: GridBelief,
     has, the belief of mass 0 tells nothing of what was before.  measurements: as such or
     (stamp_ns, source, values); start_ns: the prior's stamp, the first measurement's
     where none is given; every_step: also at the ends of the filter's steps in between.  Raises
-    ValueError where there is no measurement, one lies before the prior, or the filter's operator
-    is in a wavelet basis, which cuts what is negative and so has no transpose.
+    ValueError where there is no measurement, one lies before the prior or is none of its sensor's,
+    or the filter's operator is in a wavelet basis, which cuts what is negative and so has no
+    transpose.
     """
     if filter_.operator.wavelet:
         raise ValueError('filter_: expected an operator on the cells, got one in the wavelet '
                          f'basis {filter_.operator.wavelet}')
     ordered = in_order(measurements, start_ns)
+    for m in ordered:
+        _check(m, filter_.sensors)
     start = ordered[0].stamp_ns if start_ns is None else start_ns
     gaps, log_evidence = _forward(filter_, prior, ordered, start)
     steps = list(_backward(filter_, gaps, every_step))[::-1]
@@ -82,13 +86,31 @@ def in_order(measurements: Sequence[Measurement | tuple[int, str, ArrayLike]],
              start_ns: int | None) -> list[Measurement]:
     """Return measurements by stamp, source and values, as the tracker takes them."""
     ordered = sorted(m if isinstance(m, Measurement) else Measurement(
-        int(m[0]), m[1], tuple(map(float, np.atleast_1d(m[2])))) for m in measurements)
+        _whole(m[0]), m[1], tuple(map(float, np.atleast_1d(m[2])))) for m in measurements)
     if not ordered:
         raise ValueError('measurements: expected at least one, got none')
     if start_ns is not None and ordered[0].stamp_ns < start_ns:
         raise ValueError(f'measurements: expected stamps from {start_ns} on, that of the prior, '
                          f'got {ordered[0].stamp_ns}')
     return ordered
+
+
+def _whole(stamp_ns: object) -> int:
+    """Return a stamp, which seconds are none of, not even whole ones."""
+    if not isinstance(stamp_ns, (int, np.integer)):
+        raise ValueError('measurements: expected stamps in whole nanoseconds, an int each, '
+                         f'got {stamp_ns!r}')
+    return int(stamp_ns)
+
+
+def _check(m: Measurement, sensors: Mapping[str, Sensor]) -> None:
+    """Refuse a measurement that is none of a sensor's."""
+    if m.source not in sensors:
+        raise ValueError(f'measurements: expected sources {", ".join(sensors)}, got {m.source}')
+    size = sensors[m.source].size
+    if len(m.values) != size or not np.all(np.isfinite(m.values)):
+        raise ValueError(f'measurements: expected {size} finite values of {m.source}, '
+                         f'got {list(m.values)}')
 
 
 def _forward(filter_: DiracFeynmanFilter, prior: GridBelief, measurements: list[Measurement],

@@ -4,6 +4,7 @@ import itertools
 
 from hypothesis import given, strategies as st
 import numpy as np
+from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
 import pytest
 
@@ -24,6 +25,15 @@ def test_fields_come_out_as_plain_tuples_and_grids_of_equal_fields_are_equal():
     assert hash(grid) == hash(Grid((0.0, 0.0), (1.0, 2.0), (3, 4), (False, True)))
     assert {type(v) for v in grid.lower + grid.upper} == {float}
     assert {type(v) for v in grid.shape} == {int}
+
+
+@pytest.mark.parametrize('width', [1.1e-70, 0.9e70])
+def test_the_narrowest_and_the_widest_cells_have_volumes_and_variances(width):
+    grid = Grid((0,) * 4, (2 * width,) * 4, (2,) * 4)
+    belief = GridBelief.gaussian(grid, [width] * 4, np.eye(4) * width**2)
+    assert belief.mass == pytest.approx(1)
+    np.testing.assert_allclose(belief.covariance(), np.eye(4) * width**2 / 4, rtol=1e-9,
+                               atol=1e-9 * width**2)
 
 
 @given(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(0.1, 100))
@@ -59,6 +69,10 @@ def test_selected_axes_stand_in_the_order_given():
     (((0, 1), (1, 1), (2, 2)), 'upper: expected finite lower < upper on axis 1', '1 and 1'),
     (((float('nan'),), (1,), (2,)), 'upper: expected finite lower < upper on axis 0', 'nan'),
     (((0,), (float('inf'),), (2,)), 'upper: expected finite lower < upper on axis 0', 'inf'),
+    (((0, 0), (1, 1e-200), (2, 40)), 'upper: expected cells from 1e-70 to 1e+70 wide on axis 1',
+     '2.5e-202'),
+    (((-1e200,), (1e200,), (40,)), 'upper: expected cells from 1e-70 to 1e+70 wide on axis 0',
+     '5e+198'),
     (((0, 0), (1, 1), (2, 1)), 'shape: expected at least 2 cells on axis 1', '1'),
     (((0,), (1,), (-3,)), 'shape: expected at least 2 cells on axis 0', '-3'),
     (((0,), (1,), (2.7,)), 'shape: expected', '2.7'),

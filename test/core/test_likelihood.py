@@ -167,6 +167,12 @@ def test_without_averages_every_cell_takes_its_centre_and_the_remark_says_what_f
     assert 'average_cells' in remark and '\n' not in remark
 
 
+def test_cells_that_are_few_are_some_and_not_0_percent():
+    steep = Sensor(lambda x, t: np.where(x > 999, 10 * (x - 999), 0.0), [[1.0]])
+    [remark] = GridLikelihood(Grid((0,), (1000,), (1000,)), steep).remarks('lidar')
+    assert remark.startswith('grid.shape: some of the cells are wider')
+
+
 def test_a_cell_that_is_partly_out_of_the_sensors_domain_averages_over_the_rest():
     def root(x, t):
         with np.errstate(invalid='ignore'):

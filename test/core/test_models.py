@@ -98,6 +98,17 @@ def test_a_sensor_refuses_angles_that_are_not_one_for_each_component():
         Sensor(lambda x, t: x, np.eye(2), angular=(True,))
 
 
+def test_an_angle_has_noise_whose_likelihood_is_a_density_on_the_circle():
+    with pytest.raises(ValueError, match='^covariance: expected .* 1 rad of an angle.* got 1.5$'):
+        Sensor(lambda x, t: x, np.diag([9.0, 2.25]), angular=(False, True))
+    Sensor(lambda x, t: x, np.diag([9.0, 1.0]), angular=(False, True))
+    turn = 2 * np.pi * np.linspace(0, 1, 1000, endpoint=False)
+    for sigma in (0.1, 1.0):
+        compass = Sensor(lambda x, t: x, [[sigma**2]], angular=(True,))
+        density = np.exp(compass.log_likelihood([2.0], turn[None]))
+        assert density.mean() * 2 * np.pi == pytest.approx(1, abs=2e-3)
+
+
 @pytest.mark.parametrize('fields', [
     {'vielbein': np.ones(2)},
     {'vielbein': np.ones((3, 3))},

@@ -169,7 +169,7 @@ def test_after_an_outlier_all_is_finite_with_mass_one(y):
 def test_a_measurement_that_no_cell_allows_says_nothing():
     measured = [(STEP, 'place', [0.3]), (4 * STEP, 'place', [0.1])]
     plain = smooth(OU, PRIOR, measured, 0)
-    found = smooth(OU, PRIOR, [*measured, (2 * STEP, 'place', [float('nan')])], 0)
+    found = smooth(OU, PRIOR, [*measured, (2 * STEP, 'place', [1e200])], 0)
     assert found.log_evidence == pytest.approx(plain.log_evidence, rel=1e-12)
     for stamp, belief in zip(plain.stamps_ns, plain.beliefs):
         np.testing.assert_allclose(found.at(stamp).density, belief.density, rtol=1e-9, atol=1e-12)
@@ -200,6 +200,16 @@ def test_once_all_has_left_the_grid_what_was_before_is_what_was_measured_until_t
     (lambda: smooth(OU, PRIOR, []), 'measurements: expected at least one, got none'),
     (lambda: smooth(OU, PRIOR, [(3, 'place', [0.0])], 4),
      'measurements: expected stamps from 4 on, that of the prior, got 3'),
+    (lambda: smooth(OU, PRIOR, [(0, 'place', [0.0]), (0.01, 'place', [0.0])]),
+     'measurements: expected stamps in whole nanoseconds, an int each, got 0.01'),
+    (lambda: smooth(OU, PRIOR, [(1.0, 'place', [0.0])]),
+     'measurements: expected stamps in whole nanoseconds, an int each, got 1.0'),
+    (lambda: smooth(OU, PRIOR, [(3, 'palce', [0.0])]),
+     'measurements: expected sources place, got palce'),
+    (lambda: smooth(OU, PRIOR, [(3, 'place', [0.0, 1.0])]),
+     'measurements: expected 1 finite values of place, got [0.0, 1.0]'),
+    (lambda: smooth(OU, PRIOR, [Measurement(3, 'place', (np.nan,))]),
+     'measurements: expected 1 finite values of place, got [nan]'),
     (lambda: smooth(OU, PRIOR, [(3, 'place', [0.0])]).at(4),
      'stamp_ns: expected one of the 1 smoothed stamps, got 4'),
     (lambda: smooth(DiracFeynmanFilter(OU.model, OU.grid, OU.sensors, OU.kernel,

@@ -175,8 +175,8 @@ def test_another_kernel_is_refused_with_both_names(file):
     assert refusal(file, other).endswith(
         f'fingerprint (of model, grid and settings) {other}, got {MARK}')
     assert refusal(file, size=401).endswith('number of cells 401, got 400')
-    forged(file, version=3)
-    assert refusal(file).endswith('the format 2, got 3')
+    forged(file, version=4)
+    assert refusal(file).endswith('the format 3, got 4')
 
 
 @pytest.mark.parametrize('fields', [
@@ -343,5 +343,5 @@ def test_a_fingerprint_is_cheap_against_its_kernel():
             work(MODEL, grid, SETTINGS)
             times.append(time.perf_counter() - start)
         quickest.append(min(times))
-    # measured: a thirtieth
-    assert quickest[0] < quickest[1] / 5
+    # measured: an eighth
+    assert quickest[0] < quickest[1] / 4

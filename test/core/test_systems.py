@@ -292,6 +292,19 @@ def test_a_sensor_of_a_robot_depends_on_the_states_that_it_says_it_sees():
             assert np.any(sensor.function(moved, 0.0) != sensor.function(x, 0.0))
 
 
+@pytest.mark.parametrize('name', SYSTEMS)
+def test_a_sensor_says_which_states_it_sees_where_these_are_not_all(name):
+    system = SYSTEMS[name]()
+    n = system.model.ndim
+    x, other = np.random.default_rng(1).uniform(0.5, 2, (2, n, 20))
+    moved = [np.where(np.arange(n)[:, None] == i, other, x) for i in range(n)]
+    for sensor in (maker() for maker in system.sensors.values() if not any(
+            p.default is p.empty for p in inspect.signature(maker).parameters.values())):
+        seen = [i for i in range(n)
+                if np.any(sensor.function(moved[i], 0.0) != sensor.function(x, 0.0))]
+        assert list(range(n) if sensor.states is None else sensor.states) == seen
+
+
 def test_the_names_are_those_promised_and_every_constant_has_a_default():
     promised = {'wiener', 'ornstein_uhlenbeck', 'benes', 'double_well', 'cosine_drift',
                 'sine_cubic_drift', 'coupled_trigonometric', 'cubic_bearing', 'multiplicative_4d',

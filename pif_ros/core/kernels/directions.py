@@ -28,9 +28,10 @@ def integer_directions(variance: Array, longest: float = np.inf
 
     variance = diag(axes) + sum_k lambda_k v_k v_k^T with lambda_k > 0 and v_k of whole numbers, by
     Selling's decomposition of each group of up to three axes that are correlated.  longest: cells
-    of a direction along an axis; for noise so close to a line that it would take more, all
-    variances are enlarged alike as far as it needs, by less than (noise / longest)^2 / 2 of a
-    cell squared.
+    of a direction along an axis; where noise would take more, all its variances are
+    enlarged alike as far as it needs, by less than (noise / longest)^2 / 2 cells squared, its
+    deviation being that of all axes together.  So it is close to a line, and at any correlation
+    where it is many cells long on one axis and few on another, whose variance that may exceed.
     Raises ValueError where more than three are correlated, or the directions are hundreds of
     cells long.
     """

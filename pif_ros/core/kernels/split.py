@@ -201,6 +201,9 @@ def _factor(grid: Grid, settings: KernelSettings, step: Integers, mean: Array,
     pointers = np.zeros(grid.size + 1, dtype=np.int64)
     for half, some in zip(halves, chunks):
         w = lattice_weights(rest[some], variance[some], half).T
+        if not np.isfinite(w).all():
+            raise ValueError('tolerance: expected one that leaves a step weights which are '
+                             f'numbers, got {tolerance!r}')
         nodes = np.arange(-half, half + 1)
         targets, keep = _land(grid, step, some, (shift[some, None] + nodes).astype(np.int32))
         keep &= w > 0

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 MAGIC = b'PIF-KERN'
 #: Goes up with the layout of the file, and with what a kernel of the same settings is.
-VERSION = 2
+VERSION = 3
 #: Magic, version, bytes of an index, fingerprint, cells, weights, and the payload's checksum; the
 #: checksum of all these follows.  Then come CSR's row pointers, columns and weights, all little
 #: endian.
@@ -36,24 +36,27 @@ BITS = 26
 FREE = ('form', 'macro_error', 'precision')
 #: A smaller value, in cells and steps, is the rounding of a nought.
 NOTHING = 1e-12
+#: Cells past the edge, on each side, at which a model is looked at closely.
+BESIDE = 2
+#: How many times as wide as the world is what is looked at besides.
+AROUND = 1.5
 
 
 def fingerprint(model: StateModel, grid: Grid, settings: KernelSettings, t: float = 0.0) -> str:
     """
     Return what identifies the kernel of a step from time t: 64 hexadecimal digits.
 
-    Models are functions, so they are told apart by their values, on all cells, at the centre and
-    at two corners: drift, vielbein and their derivatives as far as they are given, and the noise,
-    all of them in cells per step, so that the units play no part.  Nor does any sensor.
+    Models are functions, so they are told apart by their values, at several places of each cell
+    and past the edges: drift, vielbein and their derivatives as far as they are given, and the
+    noise, all of them in cells per step, so that the units play no part.  Nor does any sensor.
     """
     digest = hashlib.sha256(repr((
         VERSION, grid.lower, grid.upper, grid.shape, grid.periodic, float(model.s),
         [(name, float(value) if isinstance(value, (int, float)) else value)
          for name, value in sorted(asdict(settings).items()) if name not in FREE])).encode())
     tau = t + settings.r * settings.time_step
-    for part in (0.0, -0.5, 0.5):
+    for x in _places(grid):
         with np.errstate(all='ignore'):
-            x = grid.points + part * grid.spacing[:, None]
             for values in _values(model, x, tau, grid.spacing, settings.time_step):
                 digest.update(_digits(values))
     return digest.hexdigest()
@@ -112,6 +115,22 @@ def load_kernel(path: str | os.PathLike[str], fingerprint: str, size: int) -> sp
     pointers, columns, data = arrays
     return sparse.csr_array((data.astype(float, copy=False), columns, pointers),
                             shape=(size, size))
+
+
+def _places(grid: Grid) -> Iterator[Array]:
+    """
+    Give states (n, size) at a time: centres, corners and midpoints of the cells, and odd places.
+
+    The odd places are those of wider worlds of as many cells: a step from the edge looks past it.
+    """
+    dx, shape = grid.spacing[:, None], np.array(grid.shape)[:, None]
+    for part in (0.0, -0.5, *0.5 * np.eye(grid.ndim)[:, :, None]):
+        yield grid.points + part * dx
+    # the fractions of multiples of an irrational number fill the cell evenly
+    odd = np.arange(grid.size) * np.sqrt([[2.0], [3.0], [5.0], [7.0]])[:grid.ndim] % 1 - 0.5
+    middle = np.array(grid.lower)[:, None] + shape * dx / 2
+    for wider in (1 + 2 * BESIDE / shape, AROUND):
+        yield middle + wider * (grid.points + odd * dx - middle)
 
 
 def _values(model: StateModel, x: Array, t: float, spacing: Array,

@@ -19,6 +19,9 @@ NARROW = 0.49
 NARROWEST = 0.3
 #: The weights of the nodes -2 to 2 by their moments 0 to 4.
 FOUR_MOMENTS = np.linalg.inv(np.arange(-2, 3.0)**np.arange(5)[:, None])
+#: The second moment of equal weights on all nodes is so many times what is wanted at least: the
+#: tilted Gaussian is a hump then, however much of the tails is left out.
+ROOM = 1.5
 #: What the moments may lack before the last step, which is taken in the weights themselves.
 SETTLED = 1e-3
 #: Two are needed at NARROW, one where it is wider.
@@ -30,7 +33,9 @@ def half_width(variance: Array, tolerance: float) -> int:
     widest = float(variance.max())
     if widest < NARROW:
         return 1 if widest < NARROWEST else 2
-    return max(1, math.ceil(reach(tolerance, 1) * math.sqrt(widest) - 0.5))
+    # half (half + 1) / 3 >= ROOM (v + m^2), with m of half a cell
+    least = math.sqrt(3 * ROOM * (widest + 0.25) + 0.25)
+    return max(1, math.ceil(max(reach(tolerance, 1) * math.sqrt(widest), least) - 0.5))
 
 
 def lattice_weights(mean: Array, variance: Array, half: int) -> Array:

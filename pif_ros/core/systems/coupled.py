@@ -102,7 +102,7 @@ def lorenz_63(sigma: float = 10.0, rho: float = 28.0, beta: float = 8 / 3, sigma
 
     e = positive('sigma_x', sigma_x) * np.eye(3)
     return System(StateModel(('x1', 'x2', 'x3'), drift, e, drift_jacobian=jacobian), {
-        'first': _seen(lambda x: x[:1], sigma_y, 1),
+        'first': _seen(lambda x: x[:1], sigma_y, 1, (0,)),
         'position': _seen(lambda x: x, sigma_y, 3)})
 
 
@@ -161,10 +161,11 @@ def _inverse_trigonometric(c: float, sigma_y: float) -> Sensor:
         h *= c
         return h
 
-    return _seen(function, sigma_y, 4)()
+    return _seen(function, sigma_y, 4, (0, 2, 3))()
 
 
-def _seen(h: Callable[[Array], Array], sigma_y: float, size: int) -> Callable[[], Sensor]:
-    """Return what makes the sensor of h(x) with independent noises sigma_y."""
+def _seen(h: Callable[[Array], Array], sigma_y: float, size: int,
+          states: tuple[int, ...] | None = None) -> Callable[[], Sensor]:
+    """Return what makes the sensor of h(x), of some states or all, with noises sigma_y."""
     R = white('sigma_y', sigma_y, size)
-    return lambda: Sensor(lambda x, t: h(x), R)
+    return lambda: Sensor(lambda x, t: h(x), R, states=states)

@@ -42,7 +42,8 @@ def unicycle_2d(sigma_position: float = 0.1, sigma_heading: float = 0.1) -> Syst
         return D
 
     model = StateModel(('x', 'y', 'theta'), drift, np.diag([p, p, h]), drift_jacobian=jacobian,
-                       units=('m', 'm', 'rad'), inputs=('v', 'omega'), homogeneous=(0, 1))
+                       units=('m', 'm', 'rad'), inputs=('v', 'omega'), homogeneous=(0, 1),
+                       angles=(2,))
     return System(model, {'position': position_sensor, 'range': range_sensor,
                           'bearing': bearing_sensor, 'heading': heading_sensor,
                           'relative_bearing': relative_bearing_sensor})
@@ -84,5 +85,6 @@ def relative_bearing_sensor(landmark: Sequence[float], sigma: float, bias: float
 def _point(landmark: Sequence[float]) -> tuple[float, float]:
     point = np.asarray(landmark)
     if point.shape != (2,) or point.dtype.kind not in 'iuf' or not np.all(np.isfinite(point)):
-        raise ValueError(f'landmark: expected 2 finite numbers, got {landmark}')
+        given = list(landmark) if isinstance(landmark, tuple) else landmark
+        raise ValueError(f'landmark: expected 2 finite numbers, got {given}')
     return float(landmark[0]), float(landmark[1])
