@@ -10,7 +10,7 @@ from typing import Any
 
 from pif_ros.accounts import Accounts, SourceAccount
 from pif_ros.config import Config
-from pif_ros.core.estimates import CorrectionFailed, Estimate, Measurement, Memory
+from pif_ros.core.estimates import Correction, CorrectionFailed, Estimate, Measurement, Memory
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import Tracker
 from pif_ros.sources import Control, Inlet
@@ -33,7 +33,8 @@ class Inbox:
     A bounded queue of measurements and controls before a tracker; each is accounted for.
 
     report: called with a kind and a line where something is worth a warning; slice: corrections
-    made by one work(); gaps: how often the prior held again after one.
+    made by one work(); gaps: how often the prior held again after one; last_gap: the line that
+    told of the last since a restart, '' without one.
     """
 
     def __init__(self, tracker: Tracker[Any], accounts: Accounts, config: Config,
@@ -41,12 +42,14 @@ class Inbox:
         self.queue: deque[tuple[Inlet, Measurement | Control]] = deque()
         self.behind_since: float | None = None
         self.slice = SLICE
-        self.gaps = 0
+        self.gaps, self.last_gap = 0, ''
         self._tracker, self._accounts, self._report = tracker, accounts, report
         self._longest = config.measurements.queue_length
-        self._max_gap_ns = round(config.time.max_gap * NANOSECONDS)
         self._history_ns = round(config.time.history * NANOSECONDS)
         self._unjudged: set[Measurement] = set()
+        # what came after a gap, and a line of each; a replay may find others
+        self._gaps: dict[Measurement, str] = {}
+        self._gaps_told = 0
         self._verdicts = Verdicts(accounts.sources)
         self._burst_since: float | None = None
         self._arrivals = self._arrivals_seen = 0
@@ -148,7 +151,6 @@ class Inbox:
                             f'to an end for {OVERLOAD:g} s')
                 continue
             if isinstance(item, Measurement):
-                self._bridge(item)
                 rejection = self._tracker.observe(item)
             else:
                 rejection = self._tracker.control(item.stamp_ns, item.values)
@@ -195,6 +197,8 @@ class Inbox:
     def _forget(self) -> None:
         self._unjudged.clear()
         self._verdicts.forget()
+        self._gaps.clear()
+        self.last_gap, self._gaps_told = '', 0
         self.behind_since = None
 
     def _is_overload(self, stamp_ns: int) -> bool:
@@ -203,16 +207,27 @@ class Inbox:
         return (since is not None and time.monotonic() - since > OVERLOAD
                 and newest_ns is not None and stamp_ns < newest_ns)
 
-    def _bridge(self, measurement: Measurement) -> None:
-        """Begin anew where a gap is so long that predicting through it would take for ever."""
-        newest_ns = self._tracker.stamp_ns
-        if newest_ns is not None and measurement.stamp_ns - newest_ns > self._max_gap_ns:
-            gap = (measurement.stamp_ns - newest_ns) / NANOSECONDS
-            self._report('gap', f'{measurement.source}: a gap of {gap:.0f} s, more than '
-                         'time.max_gap: back to the prior')
-            self.gaps += 1
-            self._forget()
-            self._tracker.reset(steered_ns=measurement.stamp_ns)
+    def _count_gap(self, made: Correction) -> None:
+        """Count a gap before a measurement, or that there is none any more."""
+        known, after = len(self._gaps), made.measurement
+        if made.gap_ns:
+            self._gaps[after] = (f'{after.source}: a gap of {made.gap_ns / NANOSECONDS:.0f} s, '
+                                 'more than time.max_gap: back to the prior')
+        else:
+            self._gaps.pop(after, None)
+        self.gaps += len(self._gaps) - known
+
+    def _tell_gaps(self) -> None:
+        """Tell of a new gap, once a replay is through: a late measurement may have moved one."""
+        if len(self._gaps) == self._gaps_told or self._tracker.backlog:
+            return
+        is_new = len(self._gaps) > self._gaps_told
+        self.last_gap = list(self._gaps.values())[-1] if is_new else ''
+        if is_new:
+            self._report('gap', self.last_gap)
+        oldest_ns = (self._tracker.stamp_ns or 0) - self._history_ns
+        self._gaps = {m: line for m, line in self._gaps.items() if m.stamp_ns >= oldest_ns}
+        self._gaps_told = len(self._gaps)
 
     def _judge(self) -> None:
         """
@@ -223,6 +238,8 @@ class Inbox:
         for made in self._tracker.corrections:
             measurement = made.measurement
             self._verdicts.take(made)
+            if made.gap_ns or self._gaps:
+                self._count_gap(made)
             if measurement not in self._unjudged:
                 continue
             self._unjudged.remove(measurement)
@@ -241,6 +258,7 @@ class Inbox:
                              f'measurement about {surprise(made):.0f} standard deviations from '
                              'all that is believed')
         self._tracker.corrections.clear()
+        self._tell_gaps()
         made_ns = self._tracker.newest.stamp_ns
         if made_ns is not None:
             self._verdicts.forget(made_ns - self._history_ns)

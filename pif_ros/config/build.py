@@ -40,7 +40,7 @@ def build_tracker(config: Config, filter_: Filter[Any] | None = None,
     guard = make_guard(config, filter_, prior, find_grid(config, system.model),
                        find_sensors(config, system))
     return kind(filter_, prior, config.time.history, config.time.history_memory * 1e6,
-                config.control.hold, guard)
+                config.control.hold, guard, config.time.max_gap)
 
 
 def build_filter(config: Config, system: System) -> Filter[Any]:

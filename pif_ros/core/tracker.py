@@ -12,7 +12,7 @@ import bisect
 from collections.abc import Sequence
 from dataclasses import replace
 import math
-from typing import Any, Generic
+from typing import Generic
 
 from pif_ros.core.estimates import (Correction, CorrectionFailed, Estimate, Measurement, Memory,
                                     Rejection)
@@ -28,23 +28,28 @@ class Tracker(Generic[Belief]):
     history: seconds back from the newest stamp within which a late measurement is still put where
     it belongs, and everything after it replayed; memory: bytes that the beliefs kept for that may
     take, whatever the history, the newest apart; hold: seconds for which a control holds at most,
-    where no other follows; guard: what corrects, and may reject.  A prior without a stamp holds at
+    where no other follows; guard: what corrects, and may reject; max_gap: seconds without a
+    measurement after which, at the next, the prior holds again.  A prior without a stamp holds at
     the first measurement's.
     """
 
     def __init__(self, filter_: Filter[Belief], prior: Belief, history: float = 1.0,
-                 memory: float = 256e6, hold: float = 1.0, guard: Guard = Guard()) -> None:
+                 memory: float = 256e6, hold: float = 1.0, guard: Guard = Guard(),
+                 max_gap: float = math.inf) -> None:
         if not 0 <= history < math.inf:
             raise ValueError(f'history: expected seconds, 0 or more, got {history}')
         if not memory >= 0:
             raise ValueError(f'memory: expected bytes, 0 or more, got {memory}')
         if not 0 <= hold < math.inf:
             raise ValueError(f'hold: expected seconds, 0 or more, got {hold}')
+        if not max_gap >= 0:
+            raise ValueError(f'max_gap: expected seconds, 0 or more, got {max_gap}')
         self.filter = filter_
         self.prior = prior
         self.guard = guard
         self._history_ns = round(history * NANOSECONDS)
         self._hold_ns = round(hold * NANOSECONDS)
+        self._max_gap_ns = round(max_gap * NANOSECONDS) if max_gap < math.inf else math.inf
         self._memory = memory
         self._steering = Steering(filter_.model.inputs, self._hold_ns)
         self.reset()
@@ -176,7 +181,8 @@ class Tracker(Generic[Belief]):
             later = not look and self.guard.only_watches(measurement.source)
             if not later:
                 self.look()
-            before = self.newest
+            place = len(self._posteriors)
+            before = self._before(place)
             try:
                 predicted = self._carried(before, measurement.stamp_ns)
                 made = self.guard.correct(
@@ -197,7 +203,7 @@ class Tracker(Generic[Belief]):
                 before.total_log_evidence + (made.log_evidence if used else 0.0),
                 before.watch if later else made.watch))
             self.corrections.append(Correction(measurement, made.log_evidence, log_peak, made.tail,
-                                               made.gated, made.recovered))
+                                               made.gated, made.recovered, self._gap_ns(place)))
         newest = self.newest
         self._forget()
         return newest
@@ -212,7 +218,7 @@ class Tracker(Generic[Belief]):
         while self._unwatched:
             place = len(self._posteriors) - len(self._unwatched)
             predicted, measurement = self._unwatched.pop(0)
-            watch = (self._posteriors[place - 1] if place else self._anchor).watch
+            watch = self._before(place).watch
             try:
                 watch = self.guard.watched(self.filter, predicted, measurement.values,
                                            measurement.source, measurement.stamp_ns, watch)
@@ -229,6 +235,18 @@ class Tracker(Generic[Belief]):
             return newest
         return Estimate(stamp_ns, self._carried(newest, stamp_ns), 0.0,
                         newest.total_log_evidence, newest.watch)
+
+    def _before(self, place: int) -> Estimate[Belief]:
+        """Return what a place in the timeline goes on from: after a gap that is the prior."""
+        if self._gap_ns(place):
+            return Estimate(None, self.prior)
+        return self._posteriors[place - 1] if place else self._anchor
+
+    def _gap_ns(self, place: int) -> int:
+        """Return the length of a gap before a place in the timeline that ends what was known."""
+        before_ns = self._timeline[place - 1].stamp_ns if place else self._anchor.stamp_ns
+        gap_ns = 0 if before_ns is None else self._timeline[place].stamp_ns - before_ns
+        return gap_ns if gap_ns > self._max_gap_ns else 0
 
     def _carried(self, before: Estimate[Belief], stamp_ns: int) -> Belief:
         """
@@ -277,16 +295,27 @@ class Tracker(Generic[Belief]):
     def _earliest_control_ns(self) -> float:
         """Return the stamp before which a control is too late."""
         start, oldest = self._anchor.stamp_ns, self._oldest_ns()
+        if self._is_cut_off(oldest):
+            return oldest - self._hold_ns
         if self._anchored is None and not (self._timeline and self._timeline[0].stamp_ns < oldest):
             return (oldest if start is None else start) - self._hold_ns
         return max(oldest if self._timeline else -math.inf, -math.inf if start is None else start)
 
+    def _is_cut_off(self, oldest_ns: float) -> bool:
+        """Return whether a gap reaches into the history, so that nothing late can bridge it."""
+        place = bisect.bisect_left(self._timeline, oldest_ns, key=lambda m: m.stamp_ns)
+        last_ns = self._timeline[place - 1].stamp_ns if place else self._anchor.stamp_ns
+        return bool(self._timeline) and last_ns is not None and (
+            oldest_ns - last_ns > self._max_gap_ns)
+
     def _forget_controls(self) -> None:
         """Let go of controls that nothing is predicted with any more."""
-        start: Any = self._anchor.stamp_ns
-        if start is None:
-            start = min([self._oldest_ns(), *(m.stamp_ns for m in self._timeline[:1])])
-        self._steering.forget_before(start)
+        start, oldest = self._anchor.stamp_ns, self._oldest_ns()
+        first = self._timeline[0].stamp_ns if self._timeline else math.inf
+        if start is None or first >= oldest and self._is_cut_off(oldest):
+            self._steering.forget_before(min(oldest, first))
+        else:
+            self._steering.forget_before(start)
 
     def _forget(self) -> None:
         """Let go of what lies beyond the history; the last belief before it stays as anchor."""
@@ -300,7 +329,7 @@ class Tracker(Generic[Belief]):
         if count > 0:
             self._anchor, self._anchored = self._posteriors[count - 1], self._timeline[count - 1]
             del self._timeline[:count], self._posteriors[:count]
-            self._forget_controls()
+        self._forget_controls()
 
     def _beyond_memory(self) -> int:
         """Return how many of the oldest posteriors there is no memory for."""
