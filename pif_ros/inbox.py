@@ -168,12 +168,15 @@ class Inbox:
         """
         Account for what waits, forget it, and start from a belief (None: the prior).
 
-        steered_ns: a stamp at which the robot is still driven as it was, None where it is not.
+        steered_ns: a stamp at which the robot is still driven as it was, None where it is not;
+        where it is, what was measured since the belief's stamp is worked in anew.
         """
         self.account()
-        self._forget()
-        self._news = self._made = False
         self._tracker.reset(belief, stamp_ns, steered_ns)
+        self._forget(stamp_ns if self._tracker.backlog else None)
+        for failed in self.settle():
+            self._report('fault', f'{type(failed.__cause__).__name__}: {failed}')
+        self._news = self._made = False
 
     def set_clock(self, by_ns: int, belief: Any) -> None:
         """Go on from the newest belief as it is by a clock that is so much ahead."""
@@ -194,11 +197,12 @@ class Inbox:
         """Put all that waits in the queue where it belongs."""
         self._drain(math.inf)
 
-    def _forget(self) -> None:
-        self._unjudged.clear()
-        self._verdicts.forget()
-        self._gaps.clear()
-        self.last_gap, self._gaps_told = '', 0
+    def _forget(self, before_ns: int | None = None) -> None:
+        """Let go of what was known of measurements before a stamp, of all where none is given."""
+        self._verdicts.forget(before_ns)
+        self._unjudged = {m for m in self._unjudged if _is_since(m, before_ns)}
+        self._gaps = {m: line for m, line in self._gaps.items() if _is_since(m, before_ns)}
+        self.last_gap, self._gaps_told = '', len(self._gaps)
         self.behind_since = None
 
     def _is_overload(self, stamp_ns: int) -> bool:
@@ -272,3 +276,8 @@ class Inbox:
         self._burst_since = now if since is None else since
         arriving, self._arrivals_seen = self._arrivals != self._arrivals_seen, self._arrivals
         return arriving and now - self._burst_since < PATIENCE
+
+
+def _is_since(measurement: Measurement, stamp_ns: int | None) -> bool:
+    """Return whether a measurement is no older than a stamp; none is where there is no stamp."""
+    return stamp_ns is not None and measurement.stamp_ns >= stamp_ns

@@ -60,13 +60,18 @@ class Tracker(Generic[Belief]):
         Forget what was taken, and start from a belief (the prior where none is given).
 
         steered_ns: a stamp within the history; the controls that may hold there, and later ones,
-        are kept.  Of what held before the history, it is not known any more.
+        are kept, and so are the measurements from the belief's stamp on.  Of what held before the
+        history, it is not known any more.
         """
-        self._steering.replace(() if steered_ns is None or steered_ns < self._oldest_ns()
-                               else self._steering.since(steered_ns))
+        kept: list[Measurement] = []
+        if steered_ns is None or steered_ns < self._oldest_ns():
+            self._steering.replace(())
+        else:
+            self._steering.replace(self._steering.since(steered_ns))
+            kept = [m for m in self._timeline if stamp_ns is not None and m.stamp_ns >= stamp_ns]
         self._anchor = Estimate(stamp_ns, self.prior if belief is None else belief)
         self._anchored: Measurement | None = None
-        self._timeline: list[Measurement] = []
+        self._timeline = kept
         self._posteriors: list[Estimate[Belief]] = []
         self.corrections: list[Correction] = []
         # what was predicted where the newest corrections were made, whose watch is to come

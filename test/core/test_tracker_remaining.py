@@ -158,3 +158,32 @@ def test_a_bank_does_not_predict_through_a_gap(products):
 def test_refuses_a_gap_that_is_no_time(max_gap):
     with pytest.raises(ValueError, match='^max_gap: expected seconds, 0 or more, got'):
         Tracker(FILTER, PRIOR, max_gap=max_gap)
+
+
+@pytest.mark.parametrize('pose_comes', range(4, -1, -1))
+@pytest.mark.parametrize('at_once', [False, True])
+def test_a_new_start_keeps_what_was_measured_since_whichever_comes_first(pose_comes, at_once):
+    pose_ns, known = SECOND // 2, {0: (1.0, 0.4), 6 * SECOND // 10: (0.5, -0.4)}
+    pose = FILTER.gaussian([1.0, 1.0, 0.3], 0.1 * np.eye(3))
+    tracker = Tracker(FILTER, PRIOR, 1.0, hold=HOLD)
+    items = [place(0), *known.items(), place(0.4), place(0.5, 1.1, 0.9), place(0.8, 1.3, 1.1)]
+    for k, item in enumerate(items):
+        give(tracker, item)
+        if at_once:
+            tracker.estimate()
+        if k == pose_comes + 1:
+            tracker.reset(pose, pose_ns, pose_ns)
+    controls = Controls(*zip(*sorted(known.items())), round(HOLD * SECOND))
+    wanted, first = FILTER.correct(pose, (1.1, 0.9), 'place', 0)
+    wanted = FILTER.predict(wanted, pose_ns, 8 * SECOND // 10, controls)
+    wanted, second = FILTER.correct(wanted, (1.3, 1.1), 'place', 0)
+    assert_same(tracker.estimate(), wanted, first + second)
+
+
+def test_a_new_start_from_before_the_history_or_of_which_nothing_is_known_keeps_nothing():
+    for stamp_ns, steered_ns in ((SECOND, SECOND), (None, 5 * SECOND), (5 * SECOND, None)):
+        tracker = Tracker(FILTER, PRIOR, 1.0, hold=HOLD)
+        for second in range(6):
+            tracker.observe(place(second))
+        tracker.reset(PRIOR, stamp_ns, steered_ns)
+        assert tracker.backlog == 0

@@ -1,4 +1,4 @@
-"""What an inbox tells and counts of gaps."""
+"""What an inbox tells and counts, also of gaps and of new starts."""
 
 import itertools
 from types import SimpleNamespace
@@ -28,14 +28,29 @@ class Listening:
         self.inbox = Inbox(self.tracker, self.accounts, self.config,
                            lambda kind, text: self.said.append((kind, text)))
 
+    def put(self, second, values):
+        """Let a measurement wait."""
+        account = self.accounts.sources['main']
+        account.received += 1
+        self.inbox.put(SimpleNamespace(name='main', what='measurement', account=account),
+                       Measurement(T + round(second * SECOND), 'main', values))
+
     def hear(self, *seconds):
         """Let measurements wait, and work each in by itself."""
-        inlet = SimpleNamespace(name='main', what='measurement',
-                                account=self.accounts.sources['main'])
         for second in seconds:
-            self.inbox.put(inlet, Measurement(T + round(second * SECOND), 'main', (0.1, second)))
-            while self.inbox.has_work:
-                self.inbox.work()
+            self.put(second, (0.1, second))
+            self.work()
+
+    def work(self):
+        """Work in all that waits."""
+        while self.inbox.has_work:
+            self.inbox.work()
+
+    @property
+    def became(self):
+        """Return how many were accepted, how many of these are outliers, and the rejected."""
+        account = self.accounts.sources['main']
+        return account.accepted, account.outliers, dict(+account.rejected)
 
     @property
     def gaps(self):
@@ -73,3 +88,42 @@ def test_a_gap_that_a_late_measurement_bridges_is_none_and_the_next_is_told():
     assert listening.inbox.gaps == 0 and listening.inbox.last_gap == ''
     listening.hear(30)
     assert listening.inbox.gaps == 1 and len(listening.gaps) == 2
+
+
+HERE, THERE = (0.5, -0.5), (2.5, 3.0)
+GATED = {'measurements.main.gate.tail_probability': 1e-4, 'model.params.diffusion': 0.01,
+         'prior.covariance_diagonal': [0.04, 0.04], 'prior.mean': list(HERE)}
+
+
+@pytest.mark.parametrize('waits', [False, True])
+@pytest.mark.parametrize(('where', 'before', 'after'), [
+    (THERE, (1, 0, {'gate': 1}), (2, 0, {})), (HERE, (2, 0, {}), (1, 0, {'gate': 1}))])
+def test_after_a_new_start_what_was_measured_since_is_judged_by_that(waits, where, before, after):
+    listening = Listening(**GATED)
+    for second, values in ((0, HERE), (0.8, where)):
+        listening.put(second, values)
+    if not waits:
+        listening.work()
+        assert listening.became == before
+    start = listening.tracker.filter.gaussian(THERE, 0.04 * np.eye(2))
+    listening.inbox.restart(start, T + SECOND // 2, T + SECOND // 2)
+    assert listening.became == after and not listening.inbox.has_work
+    assert listening.tracker.newest.stamp_ns == T + round(0.8 * SECOND)
+
+
+def test_where_a_sensor_raises_at_a_new_start_the_measurement_is_told_and_left_out(monkeypatch):
+    listening = Listening()
+    listening.hear(0, 0.7, 0.8)
+    correct = type(listening.tracker.filter).correct
+
+    def broken(self, belief, y, sensor, at_ns):
+        if y == (0.1, 0.7):
+            raise ArithmeticError('such a number')
+        return correct(self, belief, y, sensor, at_ns)
+
+    monkeypatch.setattr(type(listening.tracker.filter), 'correct', broken)
+    listening.inbox.restart(listening.tracker.prior, T + SECOND // 2, T + SECOND // 2)
+    assert listening.became == (2, 0, {'fault': 1})
+    [(kind, line)] = listening.said
+    assert kind == 'fault' and line.startswith('ArithmeticError: no correction by')
+    assert listening.tracker.newest.stamp_ns == T + round(0.8 * SECOND)
