@@ -71,7 +71,7 @@ class Tracker(Generic[Belief]):
             kept = [m for m in self._timeline if stamp_ns is not None and m.stamp_ns >= stamp_ns]
         self._anchor = Estimate(stamp_ns, self.prior if belief is None else belief)
         self._anchored: Measurement | None = None
-        self._timeline = kept
+        self._timeline: list[Measurement] = kept
         self._posteriors: list[Estimate[Belief]] = []
         self.corrections: list[Correction] = []
         # what was predicted where the newest corrections were made, whose watch is to come
@@ -317,7 +317,10 @@ class Tracker(Generic[Belief]):
         """Let go of controls that nothing is predicted with any more."""
         start, oldest = self._anchor.stamp_ns, self._oldest_ns()
         first = self._timeline[0].stamp_ns if self._timeline else math.inf
-        if start is None or first >= oldest and self._is_cut_off(oldest):
+        if start is None and not self._timeline:
+            # the first measurement may be on its way for longer than the history
+            self._steering.make_room()
+        elif start is None or first >= oldest and self._is_cut_off(oldest):
             self._steering.forget_before(min(oldest, first))
         else:
             self._steering.forget_before(start)

@@ -5,6 +5,7 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+from pif_ros.core import steering
 from pif_ros.core.bank import Bank, Member
 from pif_ros.core.controls import Controls
 from pif_ros.core.estimates import Measurement, Rejection
@@ -187,3 +188,20 @@ def test_a_new_start_from_before_the_history_or_of_which_nothing_is_known_keeps_
             tracker.observe(place(second))
         tracker.reset(PRIOR, stamp_ns, steered_ns)
         assert tracker.backlog == 0
+
+
+def test_what_drove_while_the_first_measurement_was_on_its_way_counts():
+    driven = {k * SECOND // 10: (1.0, 0.01 * k) for k in range(31)}
+    seen = [place(0), place(1)]
+    tracker = Tracker(FILTER, PRIOR, 1.0, hold=HOLD)
+    for item in (*driven.items(), *seen):
+        assert give(tracker, item) is None
+    assert_same(tracker.estimate(), *verbs(seen, driven, 10.0))
+
+
+def test_of_more_controls_than_are_kept_before_the_first_measurement_the_oldest_go(monkeypatch):
+    monkeypatch.setattr(steering, 'MOST_CONTROLS', 3)
+    tracker = Tracker(FILTER, PRIOR, 1.0, hold=HOLD)
+    for k in range(9):
+        assert tracker.control(k * SECOND, (1.0, 0.0)) is None
+    assert [stamp // SECOND for stamp, _ in tracker.memory().controls] == [7, 8]
