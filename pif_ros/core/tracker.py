@@ -291,11 +291,11 @@ class Tracker(Generic[Belief]):
                 self._rung = None
 
     def _oldest_ns(self) -> float:
-        """Return how far back the history reaches."""
-        if self._timeline:
-            return self._timeline[-1].stamp_ns - self._history_ns
-        newest_ns = self._steering.newest_ns
-        return -math.inf if newest_ns is None else newest_ns - self._history_ns
+        """Return how far back the history reaches, as far as it is kept."""
+        newest_ns = self._timeline[-1].stamp_ns if self._timeline else self._steering.newest_ns
+        oldest_ns = -math.inf if newest_ns is None else newest_ns - self._history_ns
+        start_ns = None if self._anchored is None else self._anchor.stamp_ns
+        return oldest_ns if start_ns is None else max(oldest_ns, start_ns)
 
     def _earliest_control_ns(self) -> float:
         """Return the stamp before which a control is too late."""

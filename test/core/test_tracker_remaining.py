@@ -205,3 +205,20 @@ def test_of_more_controls_than_are_kept_before_the_first_measurement_the_oldest_
     for k in range(9):
         assert tracker.control(k * SECOND, (1.0, 0.0)) is None
     assert [stamp // SECOND for stamp, _ in tracker.memory().controls] == [7, 8]
+
+
+@pytest.mark.parametrize(('tenths', 'driven'), [(3, False), (7, False), (9, True)])
+def test_of_a_start_before_all_that_is_kept_no_control_is_known_however_long_the_history(
+        tenths, driven):
+    # memory for the newest belief alone: the one at 0.8 s is what all else starts from
+    tracker = Tracker(FILTER, PRIOR, 10.0, memory=0, hold=0.1)
+    controls = {k * SECOND // 10: (1.0, 0.2) for k in range(10)}
+    for stamp_ns, u in controls.items():
+        tracker.control(stamp_ns, u)
+        tracker.observe(place(stamp_ns / SECOND))
+        tracker.estimate()
+    start_ns = tenths * SECOND // 10
+    tracker.reset(PRIOR, start_ns + 1, start_ns + 1)
+    known = Controls(*zip(*sorted(controls.items())), SECOND // 10) if driven else Controls()
+    wanted = FILTER.predict(PRIOR, start_ns + 1, SECOND, known)
+    np.testing.assert_array_equal(tracker.forecast(SECOND).belief.mean(), wanted.mean())
