@@ -323,7 +323,9 @@ class Tracker(Generic[Belief]):
         elif start is None or first >= oldest and self._is_cut_off(oldest):
             self._steering.forget_before(min(oldest, first))
         else:
-            self._steering.forget_before(start)
+            # a path goes on from its last point, and not from one that was rejected since
+            path_ns = getattr(self._anchor.belief, 'stamp_ns', None)
+            self._steering.forget_before(start if path_ns is None else min(start, path_ns))
 
     def _forget(self) -> None:
         """Let go of what lies beyond the history; the last belief before it stays as anchor."""

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 import numpy as np
 from pif_ros.core import steering
 from pif_ros.core.bank import Bank, Member
+from pif_ros.core.continuous import ExtendedKalmanBucyFilter
 from pif_ros.core.controls import Controls
 from pif_ros.core.estimates import Measurement, Rejection
 from pif_ros.core.filters import DiracFeynmanFilter
@@ -222,3 +223,22 @@ def test_of_a_start_before_all_that_is_kept_no_control_is_known_however_long_the
     known = Controls(*zip(*sorted(controls.items())), SECOND // 10) if driven else Controls()
     wanted = FILTER.predict(PRIOR, start_ns + 1, SECOND, known)
     np.testing.assert_array_equal(tracker.forecast(SECOND).belief.mean(), wanted.mean())
+
+
+def test_a_path_that_began_before_rejected_points_knows_what_drove_it_since():
+    path = ExtendedKalmanBucyFilter(SYSTEM.model, FILTER.sensors, 0.05)
+    prior = path.gaussian([0.0, 0.0, 0.3], 0.2 * np.eye(3))
+    controls = {-SECOND // 10: (1.0, 0.0), 3 * SECOND // 10: (0.0, 0.0)}
+    # no state allows these: the increment to the last point begins at the first
+    points = [place(0), place(1, 1e200), place(2, 1e200), place(3, 0.4)]
+    tracker = Tracker(path, prior, 0.5, hold=10.0)
+    for item in (*controls.items(), *points):
+        give(tracker, item)
+        tracker.estimate()
+    known, belief, now = Controls(*zip(*controls.items()), 10 * SECOND), prior, 0
+    for point in (points[0], points[3]):
+        belief = path.predict(belief, now, point.stamp_ns, known)
+        belief, log_evidence = path.correct(belief, point.values, 'place', point.stamp_ns)
+        now = point.stamp_ns
+    np.testing.assert_allclose(tracker.estimate().belief.mean(), belief.mean(), rtol=1e-9)
+    assert tracker.estimate().log_evidence == pytest.approx(log_evidence, rel=1e-9)
