@@ -76,6 +76,7 @@ class Tracker(Generic[Belief]):
         self.corrections: list[Correction] = []
         # what was predicted where the newest corrections were made, whose watch is to come
         self._unwatched: list[tuple[Belief, Measurement]] = []
+        self._failed: Exception | None = None
         self._largest = 0
         self._rung: tuple[Estimate[Belief], int, Belief] | None = None
 
@@ -96,8 +97,12 @@ class Tracker(Generic[Belief]):
             self._steering.replace((stamp_ns + by_ns, value) for stamp_ns, value in steered)
 
     def memory(self) -> Memory[Belief]:
-        """Return what decides the future, at the cost of a list: no belief is copied."""
-        self.look()
+        """
+        Return what decides the future, at the cost of a list: no belief is copied.
+
+        Where a sensor raises in the watch, that is left to the next look().
+        """
+        self._watch()
         return Memory(self._anchor, self._anchored, tuple(self._timeline), self._steering.taken)
 
     def recall(self, memory: Memory[Belief]) -> None:
@@ -219,7 +224,13 @@ class Tracker(Generic[Belief]):
 
         Where a sensor raises, the watch before it goes on, and it is raised again in the end.
         """
-        failed: Exception | None = None
+        self._watch()
+        failed, self._failed = self._failed, None
+        if failed is not None:
+            raise failed
+
+    def _watch(self) -> None:
+        """Bring the watch up to the newest correction, and remember the first that raised."""
         while self._unwatched:
             place = len(self._posteriors) - len(self._unwatched)
             predicted, measurement = self._unwatched.pop(0)
@@ -228,10 +239,8 @@ class Tracker(Generic[Belief]):
                 watch = self.guard.watched(self.filter, predicted, measurement.values,
                                            measurement.source, measurement.stamp_ns, watch)
             except Exception as error:  # noqa: B902  models and sensors are others' code
-                failed = failed or error
+                self._failed = self._failed or error
             self._posteriors[place] = replace(self._posteriors[place], watch=watch)
-        if failed is not None:
-            raise failed
 
     def forecast(self, stamp_ns: int) -> Estimate[Belief]:
         """Return what is believed of a later moment; commits to nothing."""

@@ -242,3 +242,25 @@ def test_a_path_that_began_before_rejected_points_knows_what_drove_it_since():
         now = point.stamp_ns
     np.testing.assert_allclose(tracker.estimate().belief.mean(), belief.mean(), rtol=1e-9)
     assert tracker.estimate().log_evidence == pytest.approx(log_evidence, rel=1e-9)
+
+
+def test_what_a_watch_raises_keeps_nobody_from_remembering_and_is_raised_by_the_next_look(
+        monkeypatch):
+    tracker = Tracker(LINE, LINE.gaussian([0.5], [[0.4]]), guard=Guard(alarm=Alarm()))
+    tracker.observe(Measurement(0, 'place', (0.1,)))
+    known = tracker.estimate().watch
+    tracker.observe(Measurement(SECOND, 'place', (0.2,)))
+    believed = tracker.estimate(look=False)
+    monkeypatch.setattr(DiracFeynmanFilter, 'predictive', raising)
+    memory = tracker.memory()
+    assert memory.stamp_ns == SECOND and tracker.newest.belief is believed.belief
+    assert tracker.newest.watch == known
+    monkeypatch.undo()
+    with pytest.raises(ArithmeticError, match='such a sensor'):
+        tracker.look()
+    tracker.look()
+    assert tracker.memory() == memory
+
+
+def raising(*_):
+    raise ArithmeticError('such a sensor')
