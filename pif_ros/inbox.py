@@ -115,15 +115,18 @@ class Inbox:
         is_news, self._news, self._made = self._news and self._made, False, False
         return is_news
 
-    def settle(self) -> list[CorrectionFailed]:
-        """Work in all that waits, however long that takes, and return what could not be."""
-        failed = []
+    def settle(self) -> list[RuntimeError]:
+        """Work in all that waits, however long that takes, and return what failed, and why."""
+        failed: list[RuntimeError] = []
         while self.has_work:
             self._drain(math.inf)
             try:
                 self._corrected(self._tracker.backlog)
             except CorrectionFailed as failure:
                 failed.append(failure)
+            except Exception as error:  # noqa: B902  the watch: sensors are others' code
+                failed.append(RuntimeError(f'no watch over being lost: {error}'))
+                failed[-1].__cause__ = error
         self.behind_since = None
         return failed
 

@@ -7,6 +7,7 @@ import numpy as np
 from pif_ros.accounts import Accounts
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.estimates import Measurement
+from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.inbox import Inbox
 import pytest
 
@@ -127,3 +128,24 @@ def test_where_a_sensor_raises_at_a_new_start_the_measurement_is_told_and_left_o
     [(kind, line)] = listening.said
     assert kind == 'fault' and line.startswith('ArithmeticError: no correction by')
     assert listening.tracker.newest.stamp_ns == T + round(0.8 * SECOND)
+
+
+@pytest.mark.parametrize('times', [1, 1000])
+def test_all_that_waits_is_worked_in_also_where_the_watch_over_some_raises(monkeypatch, times):
+    listening, left = Listening(**{'filter.type': 'df'}), iter(range(times))
+    predictive = DiracFeynmanFilter.predictive
+
+    def broken(*given):
+        if next(left, None) is not None:
+            raise ArithmeticError('such a sensor')
+        return predictive(*given)
+
+    listening.hear(0)
+    monkeypatch.setattr(DiracFeynmanFilter, 'predictive', broken)
+    for second in (0.1, 3, 6, 9):
+        listening.put(second, HERE)
+    failed = listening.inbox.settle()
+    assert failed and {(type(each.__cause__), str(each)) for each in failed} == {
+        (ArithmeticError, 'no watch over being lost: such a sensor')}
+    assert not listening.inbox.has_work and listening.tracker.newest.stamp_ns == T + 9 * SECOND
+    assert listening.became == (5, 0, {})
