@@ -17,6 +17,7 @@ from pif_ros.core.kernels import KernelSettings
 from pif_ros.core.lost import Alarm
 from pif_ros.core.models import Sensor
 from pif_ros.core.rivals import ExtendedKalmanFilter
+from pif_ros.core.saved import arrays_of, forms_of, memory_from
 from pif_ros.core.systems import ornstein_uhlenbeck, unicycle_2d
 from pif_ros.core.tracker import Tracker
 import pytest
@@ -264,3 +265,16 @@ def test_what_a_watch_raises_keeps_nobody_from_remembering_and_is_raised_by_the_
 
 def raising(*_):
     raise ArithmeticError('such a sensor')
+
+
+def test_a_measurement_of_many_numbers_is_remembered_as_any_other():
+    wide = LINE.with_sensors({'place': Sensor(lambda x, t: np.repeat(x[:1], 72, 0), np.eye(72))})
+    first, other = (Tracker(wide, wide.gaussian([0.5], [[0.4]]), 1.0) for _ in range(2))
+    for second in (0, 5, 10):
+        first.observe(Measurement(second * SECOND, 'place', (0.5 + second,) * 72))
+        first.estimate()
+    arrays = arrays_of(first)
+    forms, _ = forms_of(other)
+    assert all(forms[name].allows(array.dtype, array.shape) for name, array in arrays.items())
+    other.recall(memory_from(other, arrays))
+    np.testing.assert_array_equal(other.estimate().belief.density, first.newest.belief.density)
