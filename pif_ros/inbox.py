@@ -10,7 +10,7 @@ from typing import Any
 
 from pif_ros.accounts import Accounts, SourceAccount
 from pif_ros.config import Config
-from pif_ros.core.estimates import Correction, CorrectionFailed, Estimate, Measurement, Memory
+from pif_ros.core.estimates import CorrectionFailed, Estimate, Measurement, Memory
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import Tracker
 from pif_ros.sources import Control, Inlet
@@ -50,6 +50,8 @@ class Inbox:
         # what came after a gap, and a line of each; a replay may find others
         self._gaps: dict[Measurement, str] = {}
         self._gaps_told = 0
+        # whose gaps another process counted
+        self._recalled: frozenset[Measurement] = frozenset()
         self._verdicts = Verdicts(accounts.sources)
         self._burst_since: float | None = None
         self._arrivals = self._arrivals_seen = 0
@@ -137,6 +139,7 @@ class Inbox:
         except CorrectionFailed as failed:
             self._verdicts.fail(failed.measurement)
             self._unjudged.discard(failed.measurement)
+            self._count_gap(failed.measurement, 0)
             raise
         finally:
             self._made |= bool(self._tracker.corrections)
@@ -195,6 +198,7 @@ class Inbox:
         self.restart(None, None)
         self._tracker.recall(memory)
         self._verdicts.disregard(memory.measurements)
+        self._recalled = frozenset(memory.measurements)
 
     def account(self) -> None:
         """Put all that waits in the queue where it belongs."""
@@ -214,14 +218,14 @@ class Inbox:
         return (since is not None and time.monotonic() - since > OVERLOAD
                 and newest_ns is not None and stamp_ns < newest_ns)
 
-    def _count_gap(self, made: Correction) -> None:
-        """Count a gap before a measurement, or that there is none any more."""
-        known, after = len(self._gaps), made.measurement
-        if made.gap_ns:
-            self._gaps[after] = (f'{after.source}: a gap of {made.gap_ns / NANOSECONDS:.0f} s, '
-                                 'more than time.max_gap: back to the prior')
-        else:
+    def _count_gap(self, after: Measurement, gap_ns: int) -> None:
+        """Count a gap before a measurement, or with 0 that there is none any more."""
+        known = len(self._gaps)
+        if not gap_ns:
             self._gaps.pop(after, None)
+        elif after not in self._recalled:
+            self._gaps[after] = (f'{after.source}: a gap of {gap_ns / NANOSECONDS:.0f} s, '
+                                 'more than time.max_gap: back to the prior')
         self.gaps += len(self._gaps) - known
 
     def _tell_gaps(self) -> None:
@@ -246,7 +250,7 @@ class Inbox:
             measurement = made.measurement
             self._verdicts.take(made)
             if made.gap_ns or self._gaps:
-                self._count_gap(made)
+                self._count_gap(measurement, made.gap_ns)
             if measurement not in self._unjudged:
                 continue
             self._unjudged.remove(measurement)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 from pif_ros.accounts import Accounts
 from pif_ros.config import build_tracker, Config
-from pif_ros.core.estimates import Measurement
+from pif_ros.core.estimates import CorrectionFailed, Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.inbox import Inbox
 import pytest
@@ -115,14 +115,8 @@ def test_after_a_new_start_what_was_measured_since_is_judged_by_that(waits, wher
 def test_where_a_sensor_raises_at_a_new_start_the_measurement_is_told_and_left_out(monkeypatch):
     listening = Listening()
     listening.hear(0, 0.7, 0.8)
-    correct = type(listening.tracker.filter).correct
-
-    def broken(self, belief, y, sensor, at_ns):
-        if y == (0.1, 0.7):
-            raise ArithmeticError('such a number')
-        return correct(self, belief, y, sensor, at_ns)
-
-    monkeypatch.setattr(type(listening.tracker.filter), 'correct', broken)
+    monkeypatch.setattr(type(listening.tracker.filter), 'correct', raising_at(
+        listening, T + round(0.7 * SECOND)))
     listening.inbox.restart(listening.tracker.prior, T + SECOND // 2, T + SECOND // 2)
     assert listening.became == (2, 0, {'fault': 1})
     [(kind, line)] = listening.said
@@ -149,3 +143,37 @@ def test_all_that_waits_is_worked_in_also_where_the_watch_over_some_raises(monke
         (ArithmeticError, 'no watch over being lost: such a sensor')}
     assert not listening.inbox.has_work and listening.tracker.newest.stamp_ns == T + 9 * SECOND
     assert listening.became == (5, 0, {})
+
+
+def test_a_gap_in_a_state_that_is_gone_on_from_was_told_before():
+    one, other = (Listening(**{'time.history': 30.0}) for _ in range(2))
+    one.hear(0, 20)
+    other.inbox.recall(one.tracker.memory())
+    other.work()
+    assert other.gaps == [] and other.inbox.gaps == 0 and other.inbox.last_gap == ''
+    other.hear(21, 40)
+    assert other.inbox.gaps == 1
+
+
+def test_a_measurement_that_fails_in_a_replay_ends_no_gap(monkeypatch):
+    listening = Listening()
+    listening.hear(0, 20.5)
+    monkeypatch.setattr(type(listening.tracker.filter), 'correct', raising_at(
+        listening, T + round(20.5 * SECOND)))
+    listening.put(20.4, HERE)
+    with pytest.raises(CorrectionFailed):
+        listening.work()
+    listening.hear(20.6)
+    assert listening.inbox.gaps == 1 and listening.became[2] == {'fault': 1}
+
+
+def raising_at(listening, stamp_ns):
+    """Return a correction that raises at a stamp."""
+    correct = type(listening.tracker.filter).correct
+
+    def broken(self, belief, y, sensor, at_ns):
+        if at_ns == stamp_ns:
+            raise ArithmeticError('such a number')
+        return correct(self, belief, y, sensor, at_ns)
+
+    return broken
