@@ -317,10 +317,12 @@ class Tracker(Generic[Belief]):
 
     def _is_cut_off(self, oldest_ns: float) -> bool:
         """Return whether a gap reaches into the history, so that nothing late can bridge it."""
+        last_ns = self._anchor.stamp_ns
+        if not self._timeline or last_ns is not None and oldest_ns - last_ns <= self._max_gap_ns:
+            return False
         place = bisect.bisect_left(self._timeline, oldest_ns, key=lambda m: m.stamp_ns)
-        last_ns = self._timeline[place - 1].stamp_ns if place else self._anchor.stamp_ns
-        return bool(self._timeline) and last_ns is not None and (
-            oldest_ns - last_ns > self._max_gap_ns)
+        last_ns = self._timeline[place - 1].stamp_ns if place else last_ns
+        return last_ns is not None and oldest_ns - last_ns > self._max_gap_ns
 
     def _forget_controls(self) -> None:
         """Let go of controls that nothing is predicted with any more."""
