@@ -231,7 +231,8 @@ def test_a_state_with_a_gap_is_gone_on_from_as_if_it_was_measured_anew(file, max
 
 
 def test_a_path_with_a_gap_that_would_take_ages_is_refused(file):
-    path, hour = {'filter.type': 'ekf_continuous'}, {'time.max_gap': 3600.0}
+    path = {'filter.type': 'ekf_continuous', 'kernel.time_step': 5.0}
+    hour = {'time.max_gap': 3600.0}
     one = Kept(file, **path, **hour)
     one.measure(0)
     # what no state allows ends no increment of the path
