@@ -33,7 +33,8 @@ class Inbox:
     A bounded queue of measurements and controls before a tracker; each is accounted for.
 
     report: called with a kind and a line where something is worth a warning; slice: corrections
-    made by one work(); gaps: how often the prior held again after one.
+    made by one work(); gaps: how often the prior held again after one; last_gap: the line that
+    told of the last since a restart, '' without one.
     """
 
     def __init__(self, tracker: Tracker[Any], accounts: Accounts, config: Config,
@@ -41,12 +42,16 @@ class Inbox:
         self.queue: deque[tuple[Inlet, Measurement | Control]] = deque()
         self.behind_since: float | None = None
         self.slice = SLICE
-        self.gaps = 0
+        self.gaps, self.last_gap = 0, ''
         self._tracker, self._accounts, self._report = tracker, accounts, report
         self._longest = config.measurements.queue_length
-        self._max_gap_ns = round(config.time.max_gap * NANOSECONDS)
         self._history_ns = round(config.time.history * NANOSECONDS)
         self._unjudged: set[Measurement] = set()
+        # what came after a gap, and a line of each; a replay may find others
+        self._gaps: dict[Measurement, str] = {}
+        self._gaps_told = 0
+        # whose gaps another process counted
+        self._recalled: frozenset[Measurement] = frozenset()
         self._verdicts = Verdicts(accounts.sources)
         self._burst_since: float | None = None
         self._arrivals = self._arrivals_seen = 0
@@ -112,15 +117,18 @@ class Inbox:
         is_news, self._news, self._made = self._news and self._made, False, False
         return is_news
 
-    def settle(self) -> list[CorrectionFailed]:
-        """Work in all that waits, however long that takes, and return what could not be."""
-        failed = []
+    def settle(self) -> list[RuntimeError]:
+        """Work in all that waits, however long that takes, and return what failed, and why."""
+        failed: list[RuntimeError] = []
         while self.has_work:
             self._drain(math.inf)
             try:
                 self._corrected(self._tracker.backlog)
             except CorrectionFailed as failure:
                 failed.append(failure)
+            except Exception as error:  # noqa: B902  the watch: sensors are others' code
+                failed.append(RuntimeError(f'no watch over being lost: {error}'))
+                failed[-1].__cause__ = error
         self.behind_since = None
         return failed
 
@@ -131,6 +139,7 @@ class Inbox:
         except CorrectionFailed as failed:
             self._verdicts.fail(failed.measurement)
             self._unjudged.discard(failed.measurement)
+            self._count_gap(failed.measurement, 0)
             raise
         finally:
             self._made |= bool(self._tracker.corrections)
@@ -148,7 +157,6 @@ class Inbox:
                             f'to an end for {OVERLOAD:g} s')
                 continue
             if isinstance(item, Measurement):
-                self._bridge(item)
                 rejection = self._tracker.observe(item)
             else:
                 rejection = self._tracker.control(item.stamp_ns, item.values)
@@ -166,12 +174,15 @@ class Inbox:
         """
         Account for what waits, forget it, and start from a belief (None: the prior).
 
-        steered_ns: a stamp at which the robot is still driven as it was, None where it is not.
+        steered_ns: a stamp at which the robot is still driven as it was, None where it is not;
+        where it is, what was measured since the belief's stamp is worked in anew.
         """
         self.account()
-        self._forget()
-        self._news = self._made = False
         self._tracker.reset(belief, stamp_ns, steered_ns)
+        self._forget(stamp_ns if self._tracker.backlog else None)
+        for failed in self.settle():
+            self._report('fault', f'{type(failed.__cause__).__name__}: {failed}')
+        self._news = self._made = False
 
     def set_clock(self, by_ns: int, belief: Any) -> None:
         """Go on from the newest belief as it is by a clock that is so much ahead."""
@@ -187,14 +198,18 @@ class Inbox:
         self.restart(None, None)
         self._tracker.recall(memory)
         self._verdicts.disregard(memory.measurements)
+        self._recalled = frozenset(memory.measurements)
 
     def account(self) -> None:
         """Put all that waits in the queue where it belongs."""
         self._drain(math.inf)
 
-    def _forget(self) -> None:
-        self._unjudged.clear()
-        self._verdicts.forget()
+    def _forget(self, before_ns: int | None = None) -> None:
+        """Let go of what was known of measurements before a stamp, of all where none is given."""
+        self._verdicts.forget(before_ns)
+        self._unjudged = {m for m in self._unjudged if _is_since(m, before_ns)}
+        self._gaps = {m: line for m, line in self._gaps.items() if _is_since(m, before_ns)}
+        self.last_gap, self._gaps_told = '', len(self._gaps)
         self.behind_since = None
 
     def _is_overload(self, stamp_ns: int) -> bool:
@@ -203,16 +218,27 @@ class Inbox:
         return (since is not None and time.monotonic() - since > OVERLOAD
                 and newest_ns is not None and stamp_ns < newest_ns)
 
-    def _bridge(self, measurement: Measurement) -> None:
-        """Begin anew where a gap is so long that predicting through it would take for ever."""
-        newest_ns = self._tracker.stamp_ns
-        if newest_ns is not None and measurement.stamp_ns - newest_ns > self._max_gap_ns:
-            gap = (measurement.stamp_ns - newest_ns) / NANOSECONDS
-            self._report('gap', f'{measurement.source}: a gap of {gap:.0f} s, more than '
-                         'time.max_gap: back to the prior')
-            self.gaps += 1
-            self._forget()
-            self._tracker.reset(steered_ns=measurement.stamp_ns)
+    def _count_gap(self, after: Measurement, gap_ns: int) -> None:
+        """Count a gap before a measurement, or with 0 that there is none any more."""
+        known = len(self._gaps)
+        if not gap_ns:
+            self._gaps.pop(after, None)
+        elif after not in self._recalled:
+            self._gaps[after] = (f'{after.source}: a gap of {gap_ns / NANOSECONDS:.0f} s, '
+                                 'more than time.max_gap: back to the prior')
+        self.gaps += len(self._gaps) - known
+
+    def _tell_gaps(self) -> None:
+        """Tell of a new gap, once a replay is through: a late measurement may have moved one."""
+        if len(self._gaps) == self._gaps_told or self._tracker.backlog:
+            return
+        is_new = len(self._gaps) > self._gaps_told
+        self.last_gap = list(self._gaps.values())[-1] if is_new else ''
+        if is_new:
+            self._report('gap', self.last_gap)
+        oldest_ns = (self._tracker.stamp_ns or 0) - self._history_ns
+        self._gaps = {m: line for m, line in self._gaps.items() if m.stamp_ns >= oldest_ns}
+        self._gaps_told = len(self._gaps)
 
     def _judge(self) -> None:
         """
@@ -223,6 +249,8 @@ class Inbox:
         for made in self._tracker.corrections:
             measurement = made.measurement
             self._verdicts.take(made)
+            if made.gap_ns or self._gaps:
+                self._count_gap(measurement, made.gap_ns)
             if measurement not in self._unjudged:
                 continue
             self._unjudged.remove(measurement)
@@ -241,6 +269,7 @@ class Inbox:
                              f'measurement about {surprise(made):.0f} standard deviations from '
                              'all that is believed')
         self._tracker.corrections.clear()
+        self._tell_gaps()
         made_ns = self._tracker.newest.stamp_ns
         if made_ns is not None:
             self._verdicts.forget(made_ns - self._history_ns)
@@ -254,3 +283,8 @@ class Inbox:
         self._burst_since = now if since is None else since
         arriving, self._arrivals_seen = self._arrivals != self._arrivals_seen, self._arrivals
         return arriving and now - self._burst_since < PATIENCE
+
+
+def _is_since(measurement: Measurement, stamp_ns: int | None) -> bool:
+    """Return whether a measurement is no older than a stamp; none is where there is no stamp."""
+    return stamp_ns is not None and measurement.stamp_ns >= stamp_ns

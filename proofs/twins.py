@@ -39,7 +39,6 @@ class Twin:
         self.queue: deque[tuple[str, events.Sent]] = deque()
         self.counts: Counter[tuple[str, str]] = Counter()
         self._longest = config.measurements.queue_length
-        self._max_gap_ns = round(config.time.max_gap * SECOND)
 
     def put(self, source: str, sent: events.Sent) -> None:
         """Let a right message wait; of a full queue the oldest goes."""
@@ -55,9 +54,6 @@ class Twin:
             if source == 'control':
                 rejection = self.tracker.control(sent.stamp_ns, sent.values)
             else:
-                newest_ns = self.tracker.stamp_ns
-                if newest_ns is not None and sent.stamp_ns - newest_ns > self._max_gap_ns:
-                    self.tracker.reset(steered_ns=sent.stamp_ns)
                 rejection = self.tracker.observe(
                     Measurement(sent.stamp_ns, source, sent.values))
             self.counts[source, rejection.value if rejection else 'accepted'] += 1

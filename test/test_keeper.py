@@ -212,13 +212,38 @@ def test_a_state_from_a_time_to_come_is_refused(file):
     assert one.refusal(lambda: one.load(None)).startswith('state_file: expected a /clock before')
 
 
-def test_a_gap_that_would_take_ages_is_refused(file):
-    one = Kept(file)
+@pytest.mark.parametrize('max_gap', [30.0, 29.9])
+def test_a_state_with_a_gap_is_gone_on_from_as_if_it_was_measured_anew(file, max_gap):
+    first, again, other = (Kept(file, **{'time.max_gap': max_gap}) for _ in range(3))
+    for one in (first, again):
+        one.measure(0)
+        one.measure(30)
+    first.keeper.save(0)
+    other.load()
+    found, wanted = other.tracker.estimate(), again.tracker.estimate()
+    assert found.belief.density.tobytes() == wanted.belief.density.tobytes()
+    assert found.total_log_evidence == wanted.total_log_evidence
+    # the prior holds after the longer gap alone
+    alone = Kept(file)
+    alone.measure(30)
+    is_alone = found.total_log_evidence == alone.tracker.estimate().total_log_evidence
+    assert is_alone == (max_gap < 30)
+
+
+def test_a_path_with_a_gap_that_would_take_ages_is_refused(file):
+    path = {'filter.type': 'ekf_continuous', 'kernel.time_step': 5.0}
+    hour = {'time.max_gap': 3600.0}
+    one = Kept(file, **path, **hour)
     one.measure(0)
-    one.measure(30)
+    # what no state allows ends no increment of the path
+    one.tracker.observe(Measurement(T + 30 * SECOND, 'main', (1e200, 0.2)))
+    one.measure(60)
+    one.tracker.observe(Measurement(T + 90 * SECOND, 'main', (1e200, 0.2)))
+    one.tracker.observe(Measurement(T + 92 * SECOND, 'main', (1e200, 0.2)))
+    one.tracker.estimate()
     one.keeper.save(0)
-    Kept(file, **{'time.max_gap': 30.0}).load()
-    other = Kept(file, **{'time.max_gap': 29.9})
+    Kept(file, **path, **hour).load()
+    other = Kept(file, **path, **{'time.max_gap': 29.9})
     assert other.refusal(other.load) == (
         'state_file: expected gaps between stamps of at most time.max_gap, got 30.000 s '
         f'({file})')

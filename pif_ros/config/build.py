@@ -44,7 +44,7 @@ def build_tracker(config: Config, filter_: Filter[Any] | None = None,
     prior = _prior(config, filter_, system.model)
     guard = make_guard(config, filter_, prior, grid, sensors)
     return kind(filter_, prior, config.time.history, config.time.history_memory * 1e6,
-                config.control.hold, guard)
+                config.control.hold, guard, config.time.max_gap)
 
 
 def build_filter(config: Config, system: System) -> Filter[Any]:

@@ -26,8 +26,9 @@ class Member(Tracker[Any]):
 
     @property
     def next_ns(self) -> int | None:
-        """Return the stamp of the next measurement that waits, None where none does."""
-        return self._timeline[len(self._posteriors)].stamp_ns if self.backlog else None
+        """Return the stamp to predict to for what waits next, None for nothing or after a gap."""
+        place = len(self._posteriors)
+        return self._timeline[place].stamp_ns if self.backlog and not self._gap_ns(place) else None
 
     def leg(self, stamp_ns: int) -> tuple[Any, Span] | None:
         """

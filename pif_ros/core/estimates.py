@@ -46,7 +46,8 @@ class Correction:
     log_peak: what the log evidence would have been, had the measurement been just as expected by
     a belief that is sure of itself; tail: how often a measurement surprises as much, NaN where
     nobody asked; gated: whether it was rejected for that, so that the belief does not know of it;
-    recovered: whether a share of another belief was mixed in before.
+    recovered: whether a share of another belief was mixed in before; gap_ns: how long nothing was
+    measured before it, so long that the prior held again, 0 otherwise.
     """
 
     measurement: Measurement
@@ -55,6 +56,7 @@ class Correction:
     tail: float = math.nan
     gated: bool = False
     recovered: bool = False
+    gap_ns: int = 0
 
 
 @dataclass(frozen=True)

@@ -77,9 +77,17 @@ class Steering:
 
     def forget_before(self, stamp_ns: float) -> None:
         """Let go of those before the last one that is no later than a stamp, and holds there."""
-        count = bisect.bisect_right(self._taken, stamp_ns, key=_stamp) - 1
+        self._forget(bisect.bisect_right(self._taken, stamp_ns, key=_stamp) - 1)
+
+    def make_room(self) -> None:
+        """Let go of the oldest where there is no room for another one."""
+        self._forget(len(self._taken) + 1 - MOST_CONTROLS)
+
+    def _forget(self, count: int) -> None:
+        """Let go of so many of the oldest, of none where that is negative."""
         if count > 0:
-            self.replace(self._taken[count:])
+            del self._taken[:count]
+            self._controls = None
 
 
 def _stamp(control: tuple[int, Value]) -> int:

@@ -12,7 +12,7 @@ import bisect
 from collections.abc import Sequence
 from dataclasses import replace
 import math
-from typing import Any, Generic
+from typing import Generic
 
 from pif_ros.core.estimates import (Correction, CorrectionFailed, Estimate, Measurement, Memory,
                                     Rejection)
@@ -28,23 +28,28 @@ class Tracker(Generic[Belief]):
     history: seconds back from the newest stamp within which a late measurement is still put where
     it belongs, and everything after it replayed; memory: bytes that the beliefs kept for that may
     take, whatever the history, the newest apart; hold: seconds for which a control holds at most,
-    where no other follows; guard: what corrects, and may reject.  A prior without a stamp holds at
+    where no other follows; guard: what corrects, and may reject; max_gap: seconds without a
+    measurement after which, at the next, the prior holds again.  A prior without a stamp holds at
     the first measurement's.
     """
 
     def __init__(self, filter_: Filter[Belief], prior: Belief, history: float = 1.0,
-                 memory: float = 256e6, hold: float = 1.0, guard: Guard = Guard()) -> None:
+                 memory: float = 256e6, hold: float = 1.0, guard: Guard = Guard(),
+                 max_gap: float = math.inf) -> None:
         if not 0 <= history < math.inf:
             raise ValueError(f'history: expected seconds, 0 or more, got {history}')
         if not memory >= 0:
             raise ValueError(f'memory: expected bytes, 0 or more, got {memory}')
         if not 0 <= hold < math.inf:
             raise ValueError(f'hold: expected seconds, 0 or more, got {hold}')
+        if not max_gap >= 0:
+            raise ValueError(f'max_gap: expected seconds, 0 or more, got {max_gap}')
         self.filter = filter_
         self.prior = prior
         self.guard = guard
         self._history_ns = round(history * NANOSECONDS)
         self._hold_ns = round(hold * NANOSECONDS)
+        self._max_gap_ns = round(max_gap * NANOSECONDS) if max_gap < math.inf else math.inf
         self._memory = memory
         self._steering = Steering(filter_.model.inputs, self._hold_ns)
         self.reset()
@@ -55,17 +60,23 @@ class Tracker(Generic[Belief]):
         Forget what was taken, and start from a belief (the prior where none is given).
 
         steered_ns: a stamp within the history; the controls that may hold there, and later ones,
-        are kept.  Of what held before the history, it is not known any more.
+        are kept, and so are the measurements from the belief's stamp on.  Of what held before the
+        history, it is not known any more.
         """
-        self._steering.replace(() if steered_ns is None or steered_ns < self._oldest_ns()
-                               else self._steering.since(steered_ns))
+        kept: list[Measurement] = []
+        if steered_ns is None or steered_ns < self._oldest_ns():
+            self._steering.replace(())
+        else:
+            self._steering.replace(self._steering.since(steered_ns))
+            kept = [m for m in self._timeline if stamp_ns is not None and m.stamp_ns >= stamp_ns]
         self._anchor = Estimate(stamp_ns, self.prior if belief is None else belief)
         self._anchored: Measurement | None = None
-        self._timeline: list[Measurement] = []
+        self._timeline: list[Measurement] = kept
         self._posteriors: list[Estimate[Belief]] = []
         self.corrections: list[Correction] = []
         # what was predicted where the newest corrections were made, whose watch is to come
         self._unwatched: list[tuple[Belief, Measurement]] = []
+        self._failed: Exception | None = None
         self._largest = 0
         self._rung: tuple[Estimate[Belief], int, Belief] | None = None
 
@@ -86,8 +97,12 @@ class Tracker(Generic[Belief]):
             self._steering.replace((stamp_ns + by_ns, value) for stamp_ns, value in steered)
 
     def memory(self) -> Memory[Belief]:
-        """Return what decides the future, at the cost of a list: no belief is copied."""
-        self.look()
+        """
+        Return what decides the future, at the cost of a list: no belief is copied.
+
+        Where a sensor raises in the watch, that is left to the next look().
+        """
+        self._watch()
         return Memory(self._anchor, self._anchored, tuple(self._timeline), self._steering.taken)
 
     def recall(self, memory: Memory[Belief]) -> None:
@@ -176,7 +191,8 @@ class Tracker(Generic[Belief]):
             later = not look and self.guard.only_watches(measurement.source)
             if not later:
                 self.look()
-            before = self.newest
+            place = len(self._posteriors)
+            before = self._before(place)
             try:
                 predicted = self._carried(before, measurement.stamp_ns)
                 made = self.guard.correct(
@@ -197,7 +213,7 @@ class Tracker(Generic[Belief]):
                 before.total_log_evidence + (made.log_evidence if used else 0.0),
                 before.watch if later else made.watch))
             self.corrections.append(Correction(measurement, made.log_evidence, log_peak, made.tail,
-                                               made.gated, made.recovered))
+                                               made.gated, made.recovered, self._gap_ns(place)))
         newest = self.newest
         self._forget()
         return newest
@@ -208,19 +224,23 @@ class Tracker(Generic[Belief]):
 
         Where a sensor raises, the watch before it goes on, and it is raised again in the end.
         """
-        failed: Exception | None = None
+        self._watch()
+        failed, self._failed = self._failed, None
+        if failed is not None:
+            raise failed
+
+    def _watch(self) -> None:
+        """Bring the watch up to the newest correction, and remember the first that raised."""
         while self._unwatched:
             place = len(self._posteriors) - len(self._unwatched)
             predicted, measurement = self._unwatched.pop(0)
-            watch = (self._posteriors[place - 1] if place else self._anchor).watch
+            watch = self._before(place).watch
             try:
                 watch = self.guard.watched(self.filter, predicted, measurement.values,
                                            measurement.source, measurement.stamp_ns, watch)
             except Exception as error:  # noqa: B902  models and sensors are others' code
-                failed = failed or error
+                self._failed = self._failed or error
             self._posteriors[place] = replace(self._posteriors[place], watch=watch)
-        if failed is not None:
-            raise failed
 
     def forecast(self, stamp_ns: int) -> Estimate[Belief]:
         """Return what is believed of a later moment; commits to nothing."""
@@ -229,6 +249,18 @@ class Tracker(Generic[Belief]):
             return newest
         return Estimate(stamp_ns, self._carried(newest, stamp_ns), 0.0,
                         newest.total_log_evidence, newest.watch)
+
+    def _before(self, place: int) -> Estimate[Belief]:
+        """Return what a place in the timeline goes on from: after a gap that is the prior."""
+        if self._gap_ns(place):
+            return Estimate(None, self.prior)
+        return self._posteriors[place - 1] if place else self._anchor
+
+    def _gap_ns(self, place: int) -> int:
+        """Return the length of a gap before a place in the timeline that ends what was known."""
+        before_ns = self._timeline[place - 1].stamp_ns if place else self._anchor.stamp_ns
+        gap_ns = 0 if before_ns is None else self._timeline[place].stamp_ns - before_ns
+        return gap_ns if gap_ns > self._max_gap_ns else 0
 
     def _carried(self, before: Estimate[Belief], stamp_ns: int) -> Belief:
         """
@@ -268,25 +300,43 @@ class Tracker(Generic[Belief]):
                 self._rung = None
 
     def _oldest_ns(self) -> float:
-        """Return how far back the history reaches."""
-        if self._timeline:
-            return self._timeline[-1].stamp_ns - self._history_ns
-        newest_ns = self._steering.newest_ns
-        return -math.inf if newest_ns is None else newest_ns - self._history_ns
+        """Return how far back the history reaches, as far as it is kept."""
+        newest_ns = self._timeline[-1].stamp_ns if self._timeline else self._steering.newest_ns
+        oldest_ns = -math.inf if newest_ns is None else newest_ns - self._history_ns
+        start_ns = None if self._anchored is None else self._anchor.stamp_ns
+        return oldest_ns if start_ns is None else max(oldest_ns, start_ns)
 
     def _earliest_control_ns(self) -> float:
         """Return the stamp before which a control is too late."""
         start, oldest = self._anchor.stamp_ns, self._oldest_ns()
+        if self._is_cut_off(oldest):
+            return oldest - self._hold_ns
         if self._anchored is None and not (self._timeline and self._timeline[0].stamp_ns < oldest):
             return (oldest if start is None else start) - self._hold_ns
         return max(oldest if self._timeline else -math.inf, -math.inf if start is None else start)
 
+    def _is_cut_off(self, oldest_ns: float) -> bool:
+        """Return whether a gap reaches into the history, so that nothing late can bridge it."""
+        last_ns = self._anchor.stamp_ns
+        if not self._timeline or last_ns is not None and oldest_ns - last_ns <= self._max_gap_ns:
+            return False
+        place = bisect.bisect_left(self._timeline, oldest_ns, key=lambda m: m.stamp_ns)
+        last_ns = self._timeline[place - 1].stamp_ns if place else last_ns
+        return last_ns is not None and oldest_ns - last_ns > self._max_gap_ns
+
     def _forget_controls(self) -> None:
         """Let go of controls that nothing is predicted with any more."""
-        start: Any = self._anchor.stamp_ns
-        if start is None:
-            start = min([self._oldest_ns(), *(m.stamp_ns for m in self._timeline[:1])])
-        self._steering.forget_before(start)
+        start, oldest = self._anchor.stamp_ns, self._oldest_ns()
+        first = self._timeline[0].stamp_ns if self._timeline else math.inf
+        if start is None and not self._timeline:
+            # the first measurement may be on its way for longer than the history
+            self._steering.make_room()
+        elif start is None or first >= oldest and self._is_cut_off(oldest):
+            self._steering.forget_before(min(oldest, first))
+        else:
+            # a path goes on from its last point, and not from one that was rejected since
+            path_ns = getattr(self._anchor.belief, 'stamp_ns', None)
+            self._steering.forget_before(start if path_ns is None else min(start, path_ns))
 
     def _forget(self) -> None:
         """Let go of what lies beyond the history; the last belief before it stays as anchor."""
@@ -300,7 +350,7 @@ class Tracker(Generic[Belief]):
         if count > 0:
             self._anchor, self._anchored = self._posteriors[count - 1], self._timeline[count - 1]
             del self._timeline[:count], self._posteriors[:count]
-            self._forget_controls()
+        self._forget_controls()
 
     def _beyond_memory(self) -> int:
         """Return how many of the oldest posteriors there is no memory for."""

@@ -45,15 +45,16 @@ def arrays_of(tracker: Tracker[Any]) -> Arrays:
 
 def forms_of(tracker: Tracker[Any]) -> tuple[Forms, Forms]:
     """Return the forms of the arrays of a tracker's memory, with a belief and without one."""
-    inputs = len(tracker.filter.model.inputs)
-    one = range(2)
+    inputs, one = len(tracker.filter.model.inputs), range(2)
+    sizes = [sensor.size for sensor in tracker.filter.sensors.values()]
+    numbers = range(max([len(COMPONENTS), *(size + 1 for size in sizes)]))
     rest = {**under('anchor', {'stamp_ns': Form(WHOLE, (one,)), **{
                 name: Form(REAL, (1,)) for name in _numbers()}}),
             **under('watch', {'score': Form(REAL, (1,)),
                               'counts': Form(WHOLE, (2 + len(tracker.filter.sensors),))}),
-            **under('anchored', _measurement_forms(one, COMPONENTS)),
+            **under('anchored', _measurement_forms(one, numbers)),
             **under('measurements', _measurement_forms(
-                MANY, range(len(MANY) * len(COMPONENTS)))),
+                MANY, range(len(MANY) * len(numbers)))),
             **under('controls', {'stamps_ns': Form(WHOLE, (range(MOST_CONTROLS + 1),)),
                                  'values': Form(REAL, (range(MOST_CONTROLS + 1), inputs))})}
     return {**rest, **under('belief', belief_forms(tracker.prior))}, rest
