@@ -57,6 +57,7 @@ class Target(FilterNode):
         """Return the stamp that an estimate is predicted to before it is published, or None."""
         stamp_ns = estimate.stamp_ns
         if (stamp_ns is None or stamp_ns >= self._published_ns
+                or self.is_of_another_time(stamp_ns)
                 or self._is_left_to_the_timer(stamp_ns, self._now())):
             return None
         return self._published_ns
