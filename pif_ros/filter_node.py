@@ -245,9 +245,9 @@ class FilterNode(ManagedNode):
         if estimate.stamp_ns is None or not self.is_active or self.restarts != restarts:
             return
         if self.is_of_another_time(estimate.stamp_ns):
-            self.report('older', 'what is measured now is '
-                        f'{(self._published_ns - estimate.stamp_ns) / NANOSECONDS:.3f} s older '
-                        'than the last pose, more than time.max_gap: the stamps of poses go back')
+            by = (self._published_ns - estimate.stamp_ns) / NANOSECONDS
+            self.report('back', f'poses go back by {by:.3f} s, more than time.max_gap: what is '
+                        'believed now is of another time')
             self._published_ns = -1
         stamp_ns = max(estimate.stamp_ns, self._published_ns)
         if estimate.stamp_ns < stamp_ns:

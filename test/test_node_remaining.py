@@ -2,8 +2,9 @@
 
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.estimates import Measurement
+from pif_ros.filter_bank import FilterBank
 import pytest
-from ros import PLANE, SECOND
+from ros import PLANE, SECOND, write_parameters
 from test_accounts_in_the_node import answer, HERE, put, steer, work
 from test_filter_node import MS, T
 from test_state_in_the_node import YARD
@@ -12,6 +13,14 @@ from test_state_in_the_node import YARD
 EDGE = {**YARD, 'filter.type': 'df', 'publish.rate': 0.0,
         'control.hold': 30.0, 'prior.mean': [7.0, 0.0, 0.0],
         'prior.covariance_diagonal': [0.05, 0.05, 0.001], 'model.params.sigma_position': 0.05}
+
+
+def bank_of(graph, tmp_path, **more):
+    """Return a bank of two targets, with further parameters."""
+    path = write_parameters(tmp_path / 'bank.yaml',
+                            {**PLANE, 'targets': ['alpha', 'bravo'], **more})
+    return graph.add(FilterBank(context=graph.context, use_global_arguments=False,
+                                cli_args=['--ros-args', '--params-file', str(path)]))
 
 
 def told(node):
@@ -51,3 +60,78 @@ def test_a_belief_that_has_left_the_grid_where_it_was_measured_begins_anew(graph
         work(node)
     assert (poses, node.restarts, node.tracker.stamp_ns) == ([T], 1, None)
     assert 'off the grid' in lines
+
+
+def spans(tracker):
+    """Return the nanoseconds of each prediction that a tracker is asked for, from now on."""
+    found, carried = [], tracker._carried
+
+    def recorded(before, stamp_ns):
+        found.append(stamp_ns - (before.stamp_ns or stamp_ns))
+        return carried(before, stamp_ns)
+
+    tracker._carried = recorded
+    return found
+
+
+def is_followed(node, stamps):
+    """Return whether measurements at some stamps are poses at once, and nothing is predicted."""
+    (poses, _), asked = told(node), spans(node.tracker)
+    for stamp_ns in stamps:
+        put(node, stamp_ns, HERE)
+        work(node)
+    return poses == list(stamps) and max(asked) <= 100 * MS
+
+
+AGAIN = [T + k * 100 * MS for k in range(3)]
+
+
+@pytest.mark.parametrize('rate', [0.0, 20.0])
+def test_after_a_reset_a_recording_may_be_played_again_from_its_beginning(graph, rate):
+    node = graph.filter_node({**PLANE, 'publish.rate': rate})
+    put(node, T + 3600 * SECOND, HERE)
+    work(node)
+    assert answer(node._starting._on_reset).success
+    _, lines = told(node)
+    assert is_followed(node, AGAIN) and lines == ['back']
+
+
+def test_after_a_reset_no_target_is_predicted_to_what_it_published_long_after(graph, tmp_path):
+    bank = bank_of(graph, tmp_path)
+    targets = list(bank.targets.values())
+    for stamp_ns in (T + 3600 * SECOND, T):
+        for target in targets:
+            answer(target._starting._on_reset)
+            put(target, stamp_ns, HERE)
+        asked = [leg for target in targets for leg in [spans(target.tracker)]]
+        foresee, together = bank._bank.foresee, []
+        bank._bank.foresee = lambda pairs: foresee(together.append(p) or p for p in pairs)
+        bank._work()
+        bank._bank.foresee = foresee
+    assert [target._published_ns for target in targets] == [T, T]
+    assert asked == [[0], [0]] and {stamp_ns for _, stamp_ns in together} == {T}
+
+
+def test_a_state_of_long_ago_is_published_at_its_stamp(graph, tmp_path):
+    node = graph.filter_node({**PLANE, 'state_file': str(tmp_path / 'state')})
+    put(node, T, HERE)
+    work(node)
+    assert answer(node._resuming._on_save).success
+    put(node, T + 1000 * SECOND, HERE)
+    work(node)
+    (poses, lines), asked = told(node), spans(node.tracker)
+    assert answer(node._resuming._on_load).success
+    node._work()
+    assert (poses, lines, asked) == ([T], ['back'], [0])
+
+
+def test_a_pose_goes_not_back_where_it_is_predicted_further_than_a_gap(graph):
+    node = graph.filter_node({**PLANE, 'use_sim_time': True, 'time.max_gap': 1.0,
+                              'time.max_forecast': 5.0, 'time.history': 10.0})
+    poses, lines = told(node)
+    put(node, T, HERE)
+    work(node)
+    node.tell(node.tracker.forecast(T + 5 * SECOND))
+    put(node, T + 100 * MS, HERE)
+    work(node)
+    assert (poses, lines) == ([T, T + 5 * SECOND, T + 5 * SECOND], [])
