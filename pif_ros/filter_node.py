@@ -218,6 +218,7 @@ class FilterNode(ManagedNode):
 
     def _restart(self, belief: Any, stamp_ns: int | None, why: str,
                  steered_ns: int | None = None) -> None:
+        self._resuming.forgo()
         self._begin_anew(why)
         self.inbox.restart(belief, stamp_ns, steered_ns)
 

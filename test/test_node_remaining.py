@@ -1,10 +1,13 @@
 """What a node, and a bank of them, must not do where it begins anew, ends, or looks ahead."""
 
+from contextlib import closing
+
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.estimates import Measurement
 from pif_ros.filter_bank import FilterBank
 import pytest
-from ros import PLANE, SECOND, write_parameters
+from ros import Graph, PLANE, Rig, SECOND, write_parameters
+from std_srvs.srv import Trigger
 from test_accounts_in_the_node import answer, HERE, put, steer, work
 from test_filter_node import MS, T
 from test_state_in_the_node import YARD
@@ -135,3 +138,23 @@ def test_a_pose_goes_not_back_where_it_is_predicted_further_than_a_gap(graph):
     put(node, T + 100 * MS, HERE)
     work(node)
     assert (poses, lines) == ([T, T + 5 * SECOND, T + 5 * SECOND], [])
+
+
+@pytest.mark.parametrize('wish', ['_on_reset', '_on_global'])
+def test_who_begins_anew_before_the_first_clock_does_not_go_on_from_the_file(
+        graph, tmp_path, wish):
+    file, simulated = tmp_path / 'state', {**PLANE, 'use_sim_time': True}
+    with closing(Graph(tmp_path)) as before:
+        node = before.filter_node({**PLANE, 'state_file': str(file)})
+        put(node, T, (2.0, 2.0))
+        work(node)
+        node.finish()
+    content = file.read_bytes()
+    rig = Rig(graph, {**simulated, 'state_file': str(file)})
+    getattr(rig.node._starting, wish)(Trigger.Request(), Trigger.Response())
+    wanted = rig.node.tracker.newest.belief
+    rig.tick(T + SECOND)
+    rig.node._resuming._on_clock(None)
+    assert rig.node.tracker.newest.belief is wanted and rig.node.tracker.stamp_ns is None
+    assert answer(rig.node._resuming._on_save).success
+    assert (tmp_path / 'state.refused').read_bytes() == content
