@@ -4,8 +4,11 @@ from contextlib import closing
 
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.estimates import Measurement
+from pif_ros.diagnostics import belief_status
 from pif_ros.filter_bank import FilterBank
 import pytest
+from rclpy.clock import ClockType
+from rclpy.time import Time
 from ros import Graph, PLANE, Rig, SECOND, write_parameters
 from std_srvs.srv import Trigger
 from test_accounts_in_the_node import answer, HERE, put, steer, work
@@ -158,3 +161,22 @@ def test_who_begins_anew_before_the_first_clock_does_not_go_on_from_the_file(
     assert rig.node.tracker.newest.belief is wanted and rig.node.tracker.stamp_ns is None
     assert answer(rig.node._resuming._on_save).success
     assert (tmp_path / 'state.refused').read_bytes() == content
+
+
+def test_a_target_is_predicted_to_the_time_that_it_has_heard_itself(graph, tmp_path):
+    bank = bank_of(graph, tmp_path, **{'use_sim_time': True, 'publish.rate': 10.0})
+    targets, hours = list(bank.targets.values()), (T + 50 * SECOND, T + 100 * MS)
+    for target, now_ns in zip(targets, hours):
+        target.get_clock().set_ros_time_override(
+            Time(nanoseconds=now_ns, clock_type=ClockType.ROS_TIME))
+        put(target, now_ns - 50 * MS, HERE)
+    bank._work()
+    bank._on_timer((10.0, True), targets)
+    assert tuple(target._published_ns for target in targets) == hours
+
+
+def test_a_target_that_is_not_watched_says_so(graph, tmp_path):
+    target = bank_of(graph, tmp_path).targets['alpha']
+    put(target, T, HERE)
+    work(target)
+    assert 'not watched' in belief_status(target.facts()).message
