@@ -86,6 +86,14 @@ class FilterNode(ManagedNode):
             self.inbox.account()
             self._resuming.finish()
 
+    def _release(self) -> None:
+        try:
+            super()._release()
+        finally:
+            if told := str(self.accounts):
+                self.get_logger().info(f'cleaned up; {told}')
+            self.accounts = Accounts(())
+
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen and publish; what was believed is believed still."""
         self._outputs.restart()

@@ -1,6 +1,7 @@
 """What a node, and a bank of them, must not do where it begins anew, ends, or looks ahead."""
 
 from contextlib import closing
+from types import SimpleNamespace
 
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.estimates import Measurement
@@ -180,3 +181,18 @@ def test_a_target_that_is_not_watched_says_so(graph, tmp_path):
     put(target, T, HERE)
     work(target)
     assert 'not watched' in belief_status(target.facts()).message
+
+
+def test_the_sums_are_told_once_where_a_node_is_cleaned_up_and_shut_down(graph):
+    node = graph.filter_node({**PLANE, 'autostart': False})
+    lines = []
+    node.get_logger = lambda: SimpleNamespace(
+        info=lines.append, warning=lines.append, error=lines.append)
+    node.trigger_configure()
+    node.trigger_activate()
+    put(node, T, HERE)
+    for trigger in (node.trigger_deactivate, node.trigger_cleanup, node.trigger_shutdown):
+        trigger()
+    node.finish()
+    assert [line for line in [*lines, str(node.accounts)] if 'received' in line] == [
+        'cleaned up; main: 1 received, 1 accepted, 0 rejected, 0 dropped']
