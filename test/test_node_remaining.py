@@ -3,6 +3,7 @@
 from contextlib import closing
 from types import SimpleNamespace
 
+from pif_ros import bank as fleet, node as single
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.estimates import Measurement
 from pif_ros.diagnostics import belief_status
@@ -196,3 +197,50 @@ def test_the_sums_are_told_once_where_a_node_is_cleaned_up_and_shut_down(graph):
     node.finish()
     assert [line for line in [*lines, str(node.accounts)] if 'received' in line] == [
         'cleaned up; main: 1 received, 1 accepted, 0 rejected, 0 dropped']
+
+
+@pytest.mark.parametrize(('main', 'arguments', 'stray'), [
+    (single.main, ['--params-file', 'robot.yaml'], "expected ROS arguments after --ros-args, got "
+     "'--params-file'"),
+    (fleet.main, ['--ros-args', '-p', 'a:=1', '--', 'b'], "expected ROS arguments after "
+     "--ros-args, got 'b'"),
+    (single.main, ['--ros-args', 'a.yaml'], "expected only ROS arguments after --ros-args, got "
+     "'a.yaml'")], ids=['forgotten --ros-args', 'after --', 'among those of ROS'])
+def test_an_argument_that_is_not_for_ros_is_refused_in_one_line(
+        monkeypatch, capsys, main, arguments, stray):
+    monkeypatch.setattr(single, 'Signals', lambda: lambda: True)
+    monkeypatch.setattr(single, 'logs_to_stdout', lambda: None)
+    name = 'filter_bank' if main is fleet.main else 'filter_node'
+    assert main([name, *arguments]) == 2
+    assert capsys.readouterr() == ('', f'{name}: {stray}\n')
+
+
+@pytest.mark.parametrize('main', [single.main, fleet.main])
+def test_who_asks_for_help_is_told_how_to_use_it(monkeypatch, capsys, main):
+    monkeypatch.setattr(single, 'Signals', lambda: lambda: True)
+    monkeypatch.setattr(single, 'logs_to_stdout', lambda: None)
+    assert main(['node', '--help']) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith('usage: filter_') and '--ros-args' in out and not err
+
+
+SECTIONS = """
+/**/filter_bank: {ros__parameters: {targets: [alpha, charlie]}}
+/alpha/filter_node: {ros__parameters: {frame_id: map}}
+bravo: {filter_node: {ros__parameters: {frame_id: map}}}
+/**/charlie/filter_node: {ros__parameters: {frame_id: map}}
+/*/filter_node: {ros__parameters: {frame_id: map}}
+/**/alphaa/filter_node: {ros__parameters: {frame_id: map}}
+/delta/filter_node: {ros__parameters: {frame_id: map}}
+/amcl: {ros__parameters: {alpha1: 0.2}}
+"""
+
+
+def test_sections_for_filter_nodes_that_are_no_targets_are_named(tmp_path):
+    path = tmp_path / 'bank.yaml'
+    path.write_text(SECTIONS, encoding='utf-8')
+    arguments = ['filter_bank', '--ros-args', '--params-file', str(path)]
+    # this process has two targets, and another one has charlie
+    assert fleet.nobodys(arguments, '', ['alpha', 'bravo']) == [
+        '/**/alphaa/filter_node', '/delta/filter_node']
+    assert fleet.nobodys(arguments, '/fleet', ['bravo'])[0] == '/alpha/filter_node'
