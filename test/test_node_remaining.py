@@ -14,7 +14,7 @@ from rclpy.time import Time
 from ros import Graph, PLANE, Rig, SECOND, write_parameters
 from std_srvs.srv import Trigger
 from test_accounts_in_the_node import answer, HERE, put, steer, work
-from test_filter_node import MS, T
+from test_filter_node import MS, start, T
 from test_state_in_the_node import YARD
 
 #: A robot just inside the edge of its yard.
@@ -244,3 +244,14 @@ def test_sections_for_filter_nodes_that_are_no_targets_are_named(tmp_path):
     assert fleet.nobodys(arguments, '', ['alpha', 'bravo']) == [
         '/**/alphaa/filter_node', '/delta/filter_node']
     assert fleet.nobodys(arguments, '/fleet', ['bravo'])[0] == '/alpha/filter_node'
+
+
+def test_each_reason_for_which_a_pose_is_refused_is_told(graph):
+    node = graph.filter_node(PLANE)
+    lines = []
+    node.get_logger = lambda: SimpleNamespace(warning=lines.append)
+    for wrong in ({'frame': 'odom'}, {'x': 99.0}, {'frame': 'odom'}, {'variances': (-1.0, 1.0)}):
+        node._starting._on_initial_pose(start(stamp_ns=0, **wrong))
+    assert len(lines) == 3
+    assert node.accounts.initial_pose.rejected == {
+        'other frame': 2, 'off the grid': 1, 'bad covariance': 1}
