@@ -36,7 +36,7 @@ def _filter_bank(arguments: Sequence[str]) -> list[Any]:
 
 
 def nobodys(arguments: Sequence[str], namespace: str, targets: Sequence[str]) -> list[str]:
-    """Return the sections for filter nodes that are none of the targets, nor of those in a file."""
+    """Return the sections for filter nodes that are no targets, neither here nor in a file."""
     try:
         found = [section for tree in trees(arguments) for section in sections(tree)]
     except (yaml.YAMLError, RecursionError):
