@@ -73,9 +73,9 @@ class FilterNode(ManagedNode):
         self._time = Timekeeper(self, round(self.config.time.max_ahead * NANOSECONDS),
                                 self._on_clock_set)
         self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
-        # no pose is further ahead of what it is predicted from, unless that is of another time
-        self._ahead_ns = max(self._max_gap_ns,
-                             round(self.config.time.max_forecast * NANOSECONDS))
+        # how far the last pose may be ahead of what is believed, or is of another time
+        self._furthest_ns = self._ahead_ns = max(
+            self._max_gap_ns, round(self.config.time.max_forecast * NANOSECONDS))
         self.add_on_set_parameters_callback(self._on_parameters)
         if self.config.autostart or not managed:
             self.start()
@@ -228,6 +228,9 @@ class FilterNode(ManagedNode):
                  steered_ns: int | None = None) -> None:
         self._resuming.forgo()
         self._begin_anew(why)
+        if steered_ns is None:
+            # as where a clock jumps back
+            self._ahead_ns = round(self.config.time.max_ahead * NANOSECONDS)
         self.inbox.restart(belief, stamp_ns, steered_ns)
 
     def _remind(self) -> None:
@@ -255,8 +258,8 @@ class FilterNode(ManagedNode):
             return
         if self.is_of_another_time(estimate.stamp_ns):
             by = (self._published_ns - estimate.stamp_ns) / NANOSECONDS
-            self.report('back', f'poses go back by {by:.3f} s, more than time.max_gap: what is '
-                        'believed now is of another time')
+            self.report('back', f'poses go back by {by:.3f} s: what is believed now is of another '
+                        'time')
             self._published_ns = -1
         stamp_ns = max(estimate.stamp_ns, self._published_ns)
         if estimate.stamp_ns < stamp_ns:
@@ -266,7 +269,7 @@ class FilterNode(ManagedNode):
         if not estimate.belief.mass > 0:
             self._on_nothing_left()
             return
-        self._published_ns = stamp_ns
+        self._published_ns, self._ahead_ns = stamp_ns, self._furthest_ns
         with self.watch.timing('publish'):
             self._outputs.publish(estimate.belief, stamp_ns)
 

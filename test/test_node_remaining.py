@@ -94,10 +94,10 @@ def is_followed(node, stamps):
 AGAIN = [T + k * 100 * MS for k in range(3)]
 
 
-@pytest.mark.parametrize('rate', [0.0, 20.0])
-def test_after_a_reset_a_recording_may_be_played_again_from_its_beginning(graph, rate):
+@pytest.mark.parametrize(('rate', 'length'), [(0.0, 3600), (20.0, 3600), (20.0, 2)])
+def test_after_a_reset_a_recording_may_be_played_again_from_its_beginning(graph, rate, length):
     node = graph.filter_node({**PLANE, 'publish.rate': rate})
-    put(node, T + 3600 * SECOND, HERE)
+    put(node, T + length * SECOND, HERE)
     work(node)
     assert answer(node._starting._on_reset).success
     _, lines = told(node)
@@ -131,6 +131,18 @@ def test_a_state_of_long_ago_is_published_at_its_stamp(graph, tmp_path):
     assert answer(node._resuming._on_load).success
     node._work()
     assert (poses, lines, asked) == ([T], ['back'], [0])
+
+
+def test_after_a_reset_poses_do_not_go_back_behind_a_forecast(graph):
+    node = graph.filter_node({**PLANE, 'use_sim_time': True, 'time.history': 10.0})
+    answer(node._starting._on_reset)
+    poses, lines = told(node)
+    put(node, T, HERE)
+    work(node)
+    node.tell(node.tracker.forecast(T + 5 * SECOND))
+    put(node, T + 100 * MS, HERE)
+    work(node)
+    assert (poses, lines) == ([T, T + 5 * SECOND, T + 5 * SECOND], [])
 
 
 def test_a_pose_goes_not_back_where_it_is_predicted_further_than_a_gap(graph):
