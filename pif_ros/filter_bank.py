@@ -57,6 +57,7 @@ class Target(FilterNode):
         """Return the stamp that an estimate is predicted to before it is published, or None."""
         stamp_ns = estimate.stamp_ns
         if (stamp_ns is None or stamp_ns >= self._published_ns
+                or self.is_of_another_time(stamp_ns)
                 or self._is_left_to_the_timer(stamp_ns, self._now())):
             return None
         return self._published_ns
@@ -75,6 +76,16 @@ class Target(FilterNode):
     def now(self) -> int | None:
         """Return the time in nanoseconds, None before there is a /clock."""
         return self._now()
+
+    def due_ns(self, first_ns: int | None) -> int | None:
+        """Return the time to predict to, that of the first target if it is the same, or None."""
+        now_ns = self._now()
+        if now_ns is None or first_ns is None:
+            return None
+        # one of both may have heard of the next tick, or that a simulated clock jumped back
+        if abs(first_ns - now_ns) <= self.config.time.max_ahead * NANOSECONDS:
+            now_ns = first_ns
+        return now_ns if self.is_due(now_ns) else None
 
     def _given(self) -> dict[str, Any]:
         return {name: value for name, value in super()._given().items() if name != TARGETS}
@@ -194,18 +205,17 @@ class FilterBank(Node):
     @guarded
     def _on_timer(self, group: tuple[float, bool], targets: Sequence[Target]) -> None:
         # each is to see for itself that the clock was set
-        now_ns, *_ = [target.now() for target in targets]
+        first_ns = targets[0].now()
+        due = [(target, now_ns) for target in targets
+               if (now_ns := target.due_ns(first_ns)) is not None]
         began, (rate, _) = time.monotonic(), group
-        if now_ns is None:
-            return
-        due = [target for target in targets if target.is_due(now_ns)]
         if began < self._next_forecast.get(group, 0.0):
-            for target in due:
+            for target, _ in due:
                 target.skipped += 1
             return
         with self._watch.timing('forecast'):
-            self._foresee((target.tracker, now_ns) for target in due)
-            for target in due:
+            self._foresee((target.tracker, now_ns) for target, now_ns in due)
+            for target, now_ns in due:
                 target.forecast(now_ns)
         took = FORECASTS_TAKE * (time.monotonic() - began)
         self._next_forecast[group] = began + took if took * rate > 1 else 0.0

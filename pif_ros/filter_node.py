@@ -73,6 +73,9 @@ class FilterNode(ManagedNode):
         self._time = Timekeeper(self, round(self.config.time.max_ahead * NANOSECONDS),
                                 self._on_clock_set)
         self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
+        # how far the last pose may be ahead of what is believed, or is of another time
+        self._furthest_ns = self._ahead_ns = max(
+            self._max_gap_ns, round(self.config.time.max_forecast * NANOSECONDS))
         self.add_on_set_parameters_callback(self._on_parameters)
         if self.config.autostart or not managed:
             self.start()
@@ -82,6 +85,14 @@ class FilterNode(ManagedNode):
         if self.is_made:
             self.inbox.account()
             self._resuming.finish()
+
+    def _release(self) -> None:
+        try:
+            super()._release()
+        finally:
+            if told := str(self.accounts):
+                self.get_logger().info(f'cleaned up; {told}')
+            self.accounts = Accounts(())
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen and publish; what was believed is believed still."""
@@ -189,7 +200,7 @@ class FilterNode(ManagedNode):
                      self.watch.summary(), self.watch.busy(), self.skipped,
                      time.monotonic() - since if since else 0.0, self.faults,
                      self.restarts + self.inbox.gaps,
-                     self._why, self._log_volume, masses, self.is_active, self._keeper.told())
+                     self.inbox.last_gap or self._why, self._log_volume, masses, self.is_active, self._keeper.told())
 
     def is_due(self, now_ns: int) -> bool:
         """Return whether a pose is to be predicted to now."""
@@ -215,7 +226,11 @@ class FilterNode(ManagedNode):
 
     def _restart(self, belief: Any, stamp_ns: int | None, why: str,
                  steered_ns: int | None = None) -> None:
+        self._resuming.forgo()
         self._begin_anew(why)
+        if steered_ns is None:
+            # as where a clock jumps back
+            self._ahead_ns = round(self.config.time.max_ahead * NANOSECONDS)
         self.inbox.restart(belief, stamp_ns, steered_ns)
 
     def _remind(self) -> None:
@@ -234,28 +249,44 @@ class FilterNode(ManagedNode):
 
     @guarded
     def tell(self, estimate: Estimate[Any]) -> None:
-        """Publish an estimate, but never with an older stamp than the last."""
+        """Publish an estimate, with no older stamp than the last unless it is of another time."""
         restarts, now_ns = self.restarts, self._now()
         # to ask for the time may show that the clock was set, and begin anew
         if not self.is_active:
             self._is_untold = True
         if estimate.stamp_ns is None or not self.is_active or self.restarts != restarts:
             return
+        if self.is_of_another_time(estimate.stamp_ns):
+            by = (self._published_ns - estimate.stamp_ns) / NANOSECONDS
+            self.report('back', f'poses go back by {by:.3f} s: what is believed now is of another '
+                        'time')
+            self._published_ns = -1
         stamp_ns = max(estimate.stamp_ns, self._published_ns)
         if estimate.stamp_ns < stamp_ns:
             if self._is_left_to_the_timer(estimate.stamp_ns, now_ns):
                 return
             estimate = self.tracker.forecast(stamp_ns)
-        belief = estimate.belief
-        if not belief.mass > 0:
-            text = 'all of the belief has left the grid: back to the prior'
-            self.report('off the grid', text)
-            self.inbox.account()
-            self._restart(None, None, text, self.tracker.stamp_ns)
+        if not estimate.belief.mass > 0:
+            self._on_nothing_left()
             return
-        self._published_ns = stamp_ns
+        self._published_ns, self._ahead_ns = stamp_ns, self._furthest_ns
         with self.watch.timing('publish'):
-            self._outputs.publish(belief, stamp_ns)
+            self._outputs.publish(estimate.belief, stamp_ns)
+
+    def _on_nothing_left(self) -> None:
+        """Begin anew where nothing is believed any more; a forecast alone commits to nothing."""
+        if self.tracker.newest.belief.mass > 0:
+            self.report('forecast', 'all of the belief is predicted to have left the grid: no '
+                        'pose until the next measurement')
+            return
+        text = 'all of the belief has left the grid: back to the prior'
+        self.report('off the grid', text)
+        self.inbox.account()
+        self._restart(None, None, text, self.tracker.stamp_ns)
+
+    def is_of_another_time(self, stamp_ns: int) -> bool:
+        """Return whether the last pose is so far ahead that none is predicted to its stamp."""
+        return self._published_ns - stamp_ns > self._ahead_ns
 
     def _is_left_to_the_timer(self, stamp_ns: int, now_ns: int | None) -> bool:
         """Return whether an estimate lies so far back that predicting each to now takes long."""

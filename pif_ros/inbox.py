@@ -10,7 +10,8 @@ from typing import Any
 
 from pif_ros.accounts import Accounts, SourceAccount
 from pif_ros.config import Config
-from pif_ros.core.estimates import CorrectionFailed, Estimate, Measurement, Memory
+from pif_ros.core.estimates import (CorrectionFailed, Estimate, Measurement, Memory,
+                                    Rejection)
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.core.tracker import Tracker
 from pif_ros.sources import Control, Inlet
@@ -162,8 +163,9 @@ class Inbox:
                 rejection = self._tracker.control(item.stamp_ns, item.values)
             if rejection is not None:
                 behind = (self._tracker.stamp_ns or item.stamp_ns) - item.stamp_ns
+                more = ', more than time.history' if rejection is Rejection.TOO_LATE else ''
                 self.reject(inlet, rejection.value, f'{rejection.value}, '
-                            f'{behind / NANOSECONDS:.3f} s behind the newest')
+                            f'{behind / NANOSECONDS:.3f} s behind the newest{more}')
                 continue
             inlet.account.accept(item.stamp_ns)
             if isinstance(item, Measurement):

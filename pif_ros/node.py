@@ -6,14 +6,16 @@ from collections.abc import Callable, Sequence
 import sys
 from typing import Any
 
-from pif_ros.process import explain, failed, logs_to_stdout, Signals, strangers
+from pif_ros.process import (asks_for_help, explain, failed, logs_to_stdout, Signals,
+                             strangers, usage)
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """
     Run the node until SIGINT or SIGTERM, and return its exit status.
 
-    0: told to stop; 2: parameters that make no filter, named in one line on stderr.
+    0: told to stop, or how to use it; 2: parameters that make no filter, or arguments that are
+    not for ROS, named in one line on stderr.
     """
     return run('filter_node', _filter_node, args)
 
@@ -35,9 +37,15 @@ def run(name: str, make: Callable[[Sequence[str]], Sequence[Any]],
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import remove_ros_args
 
     try:
+        if asks_for_help(remove_ros_args(arguments)[1:]):
+            print(usage(name))
+            return 0
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except ValueError as error:
+        return failed(name, str(error), 2)
     except Exception as error:  # noqa: B902  RCLError has no public name
         return failed(name, explain(error, arguments), 2)
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import atexit
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 import functools
 import os
 from pathlib import Path
@@ -71,6 +71,24 @@ def failed(name: str, reason: str, status: int) -> int:
     return status
 
 
+def usage(name: str) -> str:
+    """Return how a process is to be started that takes arguments of ROS alone."""
+    return (f'usage: {name} --ros-args [--params-file FILE] [-p NAME:=VALUE] [-r FROM:=TO]\n\n'
+            'All that it does is told by parameters: the README has their table, and the folder '
+            'config\na file for each named system.  The first line on stderr says what is wrong '
+            'with them.')
+
+
+def asks_for_help(own: Sequence[str]) -> bool:
+    """Return whether help is wanted, by the arguments that are not for ROS; refuse all others."""
+    if '-h' in own or '--help' in own:
+        return True
+    for stray in own:
+        if stray != '--':
+            raise ValueError(f'expected ROS arguments after --ros-args, got {stray!r}')
+    return False
+
+
 def explain(error: Exception, arguments: Sequence[str]) -> str:
     """Return in one line why ROS did not take its arguments, naming the parameter if it can."""
     for path in params_files(arguments):
@@ -86,6 +104,9 @@ def explain(error: Exception, arguments: Sequence[str]) -> str:
             return f'{path}: expected a tree of parameters, got one too deep or within itself'
         if wrong is not None:
             return wrong
+    if type(error).__name__ == 'UnknownROSArgsError':
+        # of which rclpy has no public name
+        return f'expected only ROS arguments after --ros-args, got {str(error).strip("[]")}'
     text = re.sub(r',? at \S*/src/\S+', '', str(error)).splitlines()[0]
     if "'bool'" in text:
         text += " (y, n, on and off are true and false unless in quotes: 'y')"
@@ -94,19 +115,33 @@ def explain(error: Exception, arguments: Sequence[str]) -> str:
 
 def strangers(arguments: Sequence[str], name: str) -> str | None:
     """Return in one line that no parameter file has parameters for a node of this name."""
-    found: set[Any] = set()
-    for path in params_files(arguments):
+    try:
+        found: set[Any] = {node for tree in trees(arguments) for node in tree}
+    except (yaml.YAMLError, RecursionError):
         # what rcl took and this does not may be for any node
-        try:
-            trees = list(yaml.load_all(Path(path).read_bytes(), Loader=yaml.BaseLoader))
-        except (yaml.YAMLError, RecursionError):
-            return None
-        found.update(*(tree for tree in trees if isinstance(tree, dict)))
+        return None
     addressed = found & {name, name.lstrip('/')} or any('*' in str(key) for key in found)
     if addressed or not found:
         return None
     return (f'--params-file: expected parameters for the node {name}, '
             f'got some for {", ".join(map(str, sorted(found)))} only')
+
+
+def trees(arguments: Sequence[str]) -> Iterator[dict[Any, Any]]:
+    """Give what is in the parameter files among a process's arguments; all values are text."""
+    for path in params_files(arguments):
+        for tree in yaml.load_all(Path(path).read_bytes(), Loader=yaml.BaseLoader):
+            if isinstance(tree, dict):
+                yield tree
+
+
+def sections(tree: Mapping[Any, Any], above: str = '') -> Iterator[tuple[str, Any]]:
+    """Give the names of all nodes in a tree, and the parameters of each."""
+    for name, below in tree.items():
+        if name == 'ros__parameters':
+            yield above, below
+        elif isinstance(below, dict):
+            yield from sections(below, f'{above}/{str(name).strip("/")}')
 
 
 def params_files(arguments: Sequence[str]) -> list[str]:

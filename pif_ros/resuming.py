@@ -50,6 +50,10 @@ class Resuming:
         was_due, self._is_due = self._is_due, False
         self._keeper.close(None if was_due else self._published_ns())
 
+    def forgo(self) -> None:
+        """Leave the state file alone at the first /clock: another beginning was asked for."""
+        self._is_due = False
+
     def _start(self) -> None:
         """Go on from the state file where there is one, once the time is known."""
         if not self._is_due or self._now() is None:

@@ -51,7 +51,7 @@ class Starting:
                                         self._oldest_ns())
         except Refused as refused:
             self._account.reject(refused.reason)
-            self._node.report('initialpose', f'initialpose: {refused}')
+            self._node.report(f'initialpose: {refused.reason}', f'initialpose: {refused}')
             return
         self._account.accept(stamp_ns)
         self._restart(belief, stamp_ns, 'initialpose', stamp_ns)

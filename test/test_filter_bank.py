@@ -198,7 +198,7 @@ def test_a_frame_that_measures_all_is_predicted_through_once_and_a_backlog_frame
 
 def test_poses_are_predicted_to_now_together_and_corrections_to_what_was_published(
         graph, make, products):
-    bank = make({**PLANE, 'use_sim_time': True, 'publish.rate': 1.0})
+    bank = make({**PLANE, 'use_sim_time': True, 'publish.rate': 1.0, 'time.max_ahead': 2.0})
     heard, peer = poses(graph, bank), graph.peer()
     clock = peer.create_publisher(Clock, '/clock', DEEP)
     graph.until(lambda: clock.get_subscription_count() >= 4, 'a meeting')

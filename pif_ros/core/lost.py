@@ -117,12 +117,13 @@ def verdict(watch: Watch, alarm: Alarm | None, filled: float,
     masses: those of its modes, heaviest first, none where nobody has looked for them.  Lost is who
     is contradicted by the measurements, and stays so until they fit again; unsure is who is not
     contradicted, but fills much of the grid, or has no mode that holds most of the mass.
+    alarm: None where nobody watches whether the measurements fit, which is said then.
     """
     heaviest, scattered = max(masses, default=0.0), len(masses) > 1
-    h = alarm.threshold if alarm is not None else math.inf
-    numbers = {'surprise': watch.score / h, 'share of the grid filled': filled,
-               'modes': float(len(masses)), 'mass of the heaviest mode': heaviest,
-               'recoveries': float(watch.recoveries)}
+    numbers = {'share of the grid filled': filled, 'modes': float(len(masses)),
+               'mass of the heaviest mode': heaviest, 'recoveries': float(watch.recoveries)}
+    if alarm is not None:
+        numbers = {'surprise': watch.score / alarm.threshold, **numbers}
     spread = filled > SPREAD
     torn = scattered and heaviest < AMBIGUOUS
     where = (f'the belief fills {filled:.0%} of the grid' if spread else
@@ -135,4 +136,5 @@ def verdict(watch: Watch, alarm: Alarm | None, filled: float,
                        numbers)
     if spread or torn:
         return Verdict('unsure', f'unsure: {where}', numbers)
-    return Verdict('found', f'found: {where}, and the measurements fit', numbers)
+    fit = ', and' if alarm is not None else '; it is not watched whether'
+    return Verdict('found', f'found: {where}{fit} the measurements fit', numbers)

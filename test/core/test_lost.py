@@ -89,7 +89,11 @@ def test_evidence_entropy_and_modes_make_one_verdict(watch, filled, masses, leve
 
 def test_without_a_watch_entropy_and_modes_still_have_a_word():
     assert verdict(Watch(), None, 0.9, [0.9]).level == 'unsure'
-    assert verdict(Watch(), None, 0.01, [0.9]).numbers['surprise'] == 0
+    found = verdict(Watch(), None, 0.01, [0.9])
+    assert (found.level, found.sentence) == (
+        'found', 'found: the belief is in one place; it is not watched whether the measurements '
+        'fit')
+    assert 'surprise' not in found.numbers
 
 
 def test_where_nobody_has_looked_for_modes_nothing_is_said_of_them():
