@@ -199,8 +199,8 @@ class FilterNode(ManagedNode):
         return Facts(self.tracker, self.accounts, self.config.diagnostics, now_ns, self._since_ns,
                      self.watch.summary(), self.watch.busy(), self.skipped,
                      time.monotonic() - since if since else 0.0, self.faults,
-                     self.restarts + self.inbox.gaps,
-                     self.inbox.last_gap or self._why, self._log_volume, masses, self.is_active, self._keeper.told())
+                     self.restarts + self.inbox.gaps, self.inbox.last_gap or self._why,
+                     self._log_volume, masses, self.is_active, self._keeper.told())
 
     def is_due(self, now_ns: int) -> bool:
         """Return whether a pose is to be predicted to now."""

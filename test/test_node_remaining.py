@@ -212,11 +212,11 @@ def test_the_sums_are_told_once_where_a_node_is_cleaned_up_and_shut_down(graph):
 
 
 @pytest.mark.parametrize(('main', 'arguments', 'stray'), [
-    (single.main, ['--params-file', 'robot.yaml'], "expected ROS arguments after --ros-args, got "
+    (single.main, ['--params-file', 'robot.yaml'], 'expected ROS arguments after --ros-args, got '
      "'--params-file'"),
-    (fleet.main, ['--ros-args', '-p', 'a:=1', '--', 'b'], "expected ROS arguments after "
+    (fleet.main, ['--ros-args', '-p', 'a:=1', '--', 'b'], 'expected ROS arguments after '
      "--ros-args, got 'b'"),
-    (single.main, ['--ros-args', 'a.yaml'], "expected only ROS arguments after --ros-args, got "
+    (single.main, ['--ros-args', 'a.yaml'], 'expected only ROS arguments after --ros-args, got '
      "'a.yaml'")], ids=['forgotten --ros-args', 'after --', 'among those of ROS'])
 def test_an_argument_that_is_not_for_ros_is_refused_in_one_line(
         monkeypatch, capsys, main, arguments, stray):
