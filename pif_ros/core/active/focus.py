@@ -55,27 +55,30 @@ def focused(prior: ActiveBelief, posterior: ActiveBelief,
     """
     room, result, changed = prior.base.size - prior.size, [], False
     for before, after in zip(prior.patches, posterior.patches):
+        # what is replaced makes room: a prior may have all of the world's cells
+        room += before.window.size
         finer = _finer(before, after, settings, room) if after.mass > LIGHT else None
         changed |= finer is not None
         result += finer or [before]
-        room -= sum(patch.window.size for patch in finer or [])
+        room -= sum(patch.window.size for patch in finer or [before])
     return replace(prior, patches=tuple(result)) if changed else None
 
 
 def _finer(before: Patch, after: Patch, settings: RegionSettings, room: int) -> list[Patch] | None:
     """Return the parts of a patch that its posterior needs, halved; None where none are narrow."""
     parts = regions(ActiveBelief(after.window.base, (after,)), settings.negligible).patches
-    result, changed, left = [], False, before.density.copy()
-    for part in parts:
+    left, changed = before.density.copy(), False
+    result = [_taken(before.window, left, part.window) for part in parts]
+    room -= sum(inner.window.size for inner in result)
+    for k, part in enumerate(parts):
         narrow = [axis for axis, width in enumerate(widths(part))
                   if width < TOLERATED * settings.resolution
                   and part.window.level[axis] < settings.finest]
-        inner = _taken(before.window, left, part.window)
-        if inner.window.size << len(narrow) <= room:
-            changed |= len(narrow) > 0
+        size = result[k].window.size
+        if narrow and (size << len(narrow)) - size <= room:
             for axis in narrow:
-                inner = halved(inner, axis)
-        result.append(inner)
+                result[k] = halved(result[k], axis)
+            room, changed = room - (result[k].window.size - size), True
     return result if changed else None
 
 
