@@ -3,11 +3,14 @@
 import numpy as np
 from pif_ros.core.active import (
     ActiveBelief, ActiveGridFilter, Patch, RegionSettings, Window)
+from pif_ros.core.active.flow import flow
 from pif_ros.core.active.focus import focused
+from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.grid import Grid
-from pif_ros.core.models import StateModel
+from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.systems.robots import position_sensor
 import pytest
+from scipy import integrate
 
 SECOND = 1_000_000_000
 
@@ -34,3 +37,49 @@ def test_focused_cells_are_hardly_more_than_the_world_has():
         for p in (np.ones_like(x), np.exp(-0.5 * ((x - y - 0.3) / 0.4)**2)))
     finer = focused(prior, posterior, RegionSettings())
     assert 0.8 * world.size < finer.size < 1.05 * world.size
+
+
+@pytest.mark.parametrize('turn', [3.0, 12.0, 8 * np.pi])
+def test_who_turns_in_one_long_step_goes_along_the_arc(turn):
+    speed, spread, world = 5.0, 0.02, Grid((-50, -50, -np.pi), (50, 50, np.pi), (100, 100, 180),
+                                           (False, False, True))
+    model = StateModel(('x', 'y', 'heading'), lambda x, u, t: np.stack(
+        [speed * np.cos(x[2]), speed * np.sin(x[2]), u[0] + 0 * x[2]]),
+        np.diag([0.1, 0.1, 1e-3]), inputs=('turn',), homogeneous=(0, 1))
+    filter_ = ActiveGridFilter(model, world, {}, 1.0)
+    belief = filter_.predict(filter_.gaussian([0, 0, 0.3], np.diag([4, 4, spread**2])), 0, SECOND,
+                             Controls((0,), ((turn,),), SECOND))
+    end = np.exp(1j * 0.3 - spread**2 / 2) * (np.exp(1j * turn) - 1) / (1j * turn) * speed
+    np.testing.assert_allclose(belief.mean()[:2], [end.real, end.imag], atol=0.02)
+
+
+@pytest.mark.parametrize('time_dependent', [False, True])
+def test_a_drift_that_bends_on_its_way_is_followed(time_dependent):
+    # its slope is nothing where the belief is at first
+    model = StateModel(('x',), lambda x, t: (
+        4 + 0 * x + 3 * np.sin(12.0 * t) if time_dependent
+        else 4 + 3 * np.sin(3 * np.maximum(x, 0))), [[0.0]], time_dependent=time_dependent)
+    x = np.array([[-2.3, -2.0, -1.7]])
+    window = Window(Grid((-5,), (15,), (400,)), (0,), (50,), (20,))
+    end = flow(model, window, x, 0, 2 * SECOND, NO_CONTROLS, 0.0)
+    exact = integrate.solve_ivp(lambda t, x: model.drift(x, t), (0, 2), x[0], rtol=1e-9).y[:, -1]
+    np.testing.assert_allclose(end[0], exact, atol=0.1 * 0.05)
+
+
+def test_no_place_of_a_circle_is_another_for_sensor_drift_or_what_is_expected():
+    world, lap = Grid((0.0,), (100.0,), (400,), (True,)), 100.0
+    found = []
+    for ahead in (0.0, 50.0):
+        # as tables have it: what is known, is known between the edges
+        def place(x, t):
+            return np.interp(x, [0, lap], [0, lap]) - ahead + np.where(x < ahead, lap, 0.0)
+
+        model = StateModel(('s',), lambda x, t: np.where(place(x, t) < 50, 3.0, 1.0), [[0.4]])
+        filter_ = ActiveGridFilter(model, world, {'lap': Sensor(place, [[0.25]])}, 1.0)
+        prior = filter_.gaussian([99.5 + ahead - (ahead > 0) * lap], [[1.0]])
+        expected = filter_.predictive(prior, 'lap', 0)
+        belief, log_evidence = filter_.correct(prior, [1.0], 'lap', 0)
+        belief = filter_.predict(belief, 0, 9 * SECOND)
+        found.append([(belief.mean()[0] - ahead) % lap, belief.covariance()[0, 0], log_evidence,
+                      expected.log_density([1.0])])
+    np.testing.assert_allclose(*found, rtol=1e-9)

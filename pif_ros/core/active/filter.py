@@ -15,7 +15,7 @@ from pif_ros.core.active.parting import MOST, moved_on_finer, parting
 from pif_ros.core.active.regions import thick
 from pif_ros.core.active.settings import RegionSettings
 from pif_ros.core.active.transport import Mask, Moves, Noise, SPREAD
-from pif_ros.core.active.window import Window
+from pif_ros.core.active.window import RolledGrid, Window
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.controls import Controls, NANOSECONDS, NO_CONTROLS
 from pif_ros.core.grid import Grid
@@ -212,7 +212,7 @@ class ActiveGridFilter:
             x = np.stack(np.meshgrid(*axes, indexing='ij'))
             places = np.flatnonzero(held.any(axis=alike, keepdims=True))
             start, cells = np.take(x.reshape(len(x), -1), places, axis=1), np.zeros_like(x)
-            end = flow(self.model, start, from_ns, to_ns, controls, rate)
+            end = flow(self.model, window, start, from_ns, to_ns, controls, rate)
             for along, far, width in zip(cells, end - start, window.spacing):
                 along.reshape(-1)[places] = far / width
             return cells
@@ -242,6 +242,7 @@ class ActiveGridFilter:
             shape = tuple(2 if i in unseen else count for i, count in enumerate(grid.shape))
             grid = Grid(grid.lower, grid.upper, shape, grid.periodic)
             p = np.broadcast_to(p.max(axis=unseen, keepdims=True), shape)
+        grid = RolledGrid.of(grid, self.grid)
         likelihood = GridLikelihood(grid, self.sensors[sensor], self.average_cells, once=True)
         log_l = likelihood.log(y, p.ravel(), t).reshape(grid.shape)
         one = tuple(slice(0, 1) if i in unseen else slice(None) for i in range(grid.ndim))
