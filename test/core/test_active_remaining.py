@@ -1,10 +1,12 @@
 """Where active cells were wrong: a prior of all cells, drifts that bend, seams, wide noise."""
 
+import tracemalloc
+
 import numpy as np
 from pif_ros.core.active import (
     ActiveBelief, ActiveGridFilter, Patch, RegionSettings, Window)
 from pif_ros.core.active.flow import flow
-from pif_ros.core.active.focus import focused
+from pif_ros.core.active.focus import focused, loosened
 from pif_ros.core.controls import Controls, NO_CONTROLS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor, StateModel
@@ -83,3 +85,25 @@ def test_no_place_of_a_circle_is_another_for_sensor_drift_or_what_is_expected():
         found.append([(belief.mean()[0] - ahead) % lap, belief.covariance()[0, 0], log_evidence,
                       expected.log_density([1.0])])
     np.testing.assert_allclose(*found, rtol=1e-9)
+
+
+def test_noise_much_wider_than_its_cells_makes_few_of_them():
+    world, spread = Grid((-50, -50), (50, 50), (100, 100)), 5.0
+    filter_ = ActiveGridFilter(still(2, spread), world, {}, 1.0)
+    narrow = filter_.gaussian([0, 0], 0.09**2 * np.eye(2))
+    filter_.describe()
+    tracemalloc.start()
+    wide = filter_.predict(narrow, 0, SECOND)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 20 * 8 * world.size
+    assert np.diag(wide.covariance()) == pytest.approx(spread**2 + 0.09**2, rel=0.01)
+
+
+@pytest.mark.parametrize('rho, level', [(0.0, 0), (0.99, 3), (1.0, 4)])
+def test_noise_that_is_narrow_across_leaves_fine_cells(rho, level):
+    world = Grid((-50, -50), (50, 50), (100, 100))
+    patch = Patch(Window(world, (4, 4), (800, 800), (6, 6)), np.ones((6, 6)))
+    loose = loosened(patch, 25 * np.array([[1, rho], [rho, 1]]), RegionSettings())
+    assert loose.window.level == (level, level)
+    assert loose.mass == pytest.approx(patch.mass, rel=1e-12)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.active.belief import ActiveBelief, Patch, seen_cells
 from pif_ros.core.active.compiled import warm_up
 from pif_ros.core.active.flow import flow, parting_rate
-from pif_ros.core.active.focus import fitted, focused
+from pif_ros.core.active.focus import fitted, focused, loosened
 from pif_ros.core.active.parting import MOST, moved_on_finer, parting
 from pif_ros.core.active.regions import thick
 from pif_ros.core.active.settings import RegionSettings
@@ -188,17 +188,22 @@ class ActiveGridFilter:
                 and from_ns < middle_ns:
             first = self._stepped(belief, from_ns, middle_ns, controls, rate, thin)
             return self._stepped(first, middle_ns, to_ns, controls, rate, thin)
-        patches = [moved_on_finer(patch, moves, noise, often)
+        variance = self._variance(from_ns, to_ns)
+        patches = [moved_on_finer(loosened(patch, variance, self.region), moves, noise, often)
                    for patch, often in zip(belief.patches, halvings)]
         dropped = belief.dropped + max(belief.mass - sum(patch.mass for patch in patches), 0.0)
         inside = [_in_the_world(patch) for patch in patches]
         return fitted(ActiveBelief(belief.base, tuple(p for p in inside if p is not None),
                                    dropped), self.region)
 
+    def _variance(self, from_ns: int, to_ns: int) -> Array:
+        """Return the covariance of the noise in a step, eps g  [TM, Eq. 93], (n, n)."""
+        return ((to_ns - from_ns) / NANOSECONDS
+                * self.model.diffusion((from_ns + to_ns) / 2 / NANOSECONDS))
+
     def _noise(self, from_ns: int, to_ns: int) -> Noise:
-        """Return what tells the variance of the noise in a step, eps g  [TM, Eq. 93]."""
-        variance = ((to_ns - from_ns) / NANOSECONDS
-                    * self.model.diffusion((from_ns + to_ns) / 2 / NANOSECONDS))
+        """Return what tells the variance of the noise in a step in cells."""
+        variance = self._variance(from_ns, to_ns)
         return lambda window: integer_directions(
             variance / np.outer(window.spacing, window.spacing), LONGEST)
 

@@ -25,6 +25,8 @@ LAVISH = 2.5
 #: A measurement may leave features narrower than asked for by this factor before it is used anew
 #: on finer cells.
 TOLERATED = 0.7
+#: Noise narrower than this share of its largest variance is along a line.
+LINE = 1e-12
 #: A patch with less than this share of the mass is not made finer before a measurement.
 LIGHT = 1e-6
 
@@ -44,6 +46,24 @@ def fitted(belief: ActiveBelief, settings: RegionSettings) -> ActiveBelief:
                     patch = halved(patch, axis)
         patches.append(patch)
     return replace(belief, patches=tuple(patches))
+
+
+def loosened(patch: Patch, noise: Array, settings: RegionSettings) -> Patch:
+    """
+    Return a patch without the fine cells that the noise of a step would blur.
+
+    noise: its covariance, (n, n).  Such cells would be made as far as the noise goes, in vain.
+    """
+    needed = 2 * LAVISH * settings.resolution * patch.window.spacing
+    if not (np.array(patch.window.level) * (np.diag(noise) > needed**2)).any():
+        return patch
+    # the width given all other states, as features are measured; none along a line
+    some = np.eye(len(noise)) * LINE * np.diag(noise).max()
+    narrow = 1 / np.sqrt(np.diag(np.linalg.inv(noise + some)))
+    for axis, width in enumerate(narrow):
+        while patch.window.level[axis] > 0 and width > needed[axis]:
+            patch, needed[axis] = paired(patch, axis), 2 * needed[axis]
+    return patch
 
 
 def focused(prior: ActiveBelief, posterior: ActiveBelief,
