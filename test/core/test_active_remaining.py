@@ -12,7 +12,7 @@ from pif_ros.core.grid import Grid
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.systems.robots import position_sensor
 import pytest
-from scipy import integrate
+from scipy import integrate, stats
 
 SECOND = 1_000_000_000
 
@@ -107,3 +107,20 @@ def test_noise_that_is_narrow_across_leaves_fine_cells(rho, level):
     loose = loosened(patch, 25 * np.array([[1, rho], [rho, 1]]), RegionSettings())
     assert loose.window.level == (level, level)
     assert loose.mass == pytest.approx(patch.mass, rel=1e-12)
+
+
+def test_a_light_hump_in_the_box_of_a_heavy_one_lives_on():
+    # beside a narrow diagonal hump, so that their boxes overlap
+    world, place, share = Grid((-50, -50), (50, 50), (200, 200)), [9.0, -9.0], 1e-7
+    heavy = np.array([[60, 59.5], [59.5, 60]])
+    filter_ = ActiveGridFilter(still(2, 0.3), world, {'position': position_sensor(1.0)}, 1.0,
+                               region=RegionSettings(finest=0))
+    belief = filter_.mixed(filter_.gaussian([0, 0], heavy),
+                           filter_.gaussian(place, np.eye(2)), share, 0)
+    for k in range(5):
+        belief = filter_.predict(belief, k * SECOND, (k + 1) * SECOND)
+    _, log_evidence = filter_.correct(belief, place, 'position', 5 * SECOND)
+    more = (1 + 5 * 0.09) * np.eye(2)
+    exact = ((1 - share) * stats.multivariate_normal([0, 0], heavy + more).pdf(place)
+             + share * stats.multivariate_normal(place, np.eye(2) + more).pdf(place))
+    assert log_evidence == pytest.approx(np.log(exact), abs=0.01)
