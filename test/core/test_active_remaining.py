@@ -124,3 +124,13 @@ def test_a_light_hump_in_the_box_of_a_heavy_one_lives_on():
     exact = ((1 - share) * stats.multivariate_normal([0, 0], heavy + more).pdf(place)
              + share * stats.multivariate_normal(place, np.eye(2) + more).pdf(place))
     assert log_evidence == pytest.approx(np.log(exact), abs=0.01)
+
+
+def test_what_a_step_leaves_out_is_no_more_where_it_is_made_in_many():
+    # the second state relaxes so fast that a step is made in two hundred
+    rate, spread = 50.0, 0.2
+    model = StateModel(('x', 'v'), lambda x, t: np.stack([1.037 + 0 * x[0], -rate * x[1]]),
+                       np.diag([0.5, spread * np.sqrt(2 * rate)]), homogeneous=(0,))
+    filter_ = ActiveGridFilter(model, Grid((0, -1), (100, 1), (200, 20)), {}, 1.0)
+    belief = filter_.predict(filter_.gaussian([10, 0], np.diag([1, spread**2])), 0, 2 * SECOND)
+    assert belief.dropped < 5 * RegionSettings().negligible

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -174,27 +174,29 @@ class ActiveGridFilter:
         parted = (to_ns - from_ns) / NANOSECONDS * rate
         count = 1 if thin else max(1, int(np.ceil(parted / PARTED)))
         ends = [from_ns + (to_ns - from_ns) * k // count for k in range(count + 1)]
+        region = _shared(self.region, count)
         for start_ns, end_ns in zip(ends, ends[1:]):
-            belief = self._stepped(belief, start_ns, end_ns, controls, rate, thin)
+            belief = self._stepped(belief, start_ns, end_ns, controls, rate, thin, region)
         return belief
 
     def _stepped(self, belief: ActiveBelief, from_ns: int, to_ns: int, controls: Controls,
-                 rate: float, thin: bool) -> ActiveBelief:
+                 rate: float, thin: bool, region: RegionSettings) -> ActiveBelief:
         """Return a belief after a step, or after two of half its length where it falls apart."""
         moves, noise = self._moves(from_ns, to_ns, controls, rate), self._noise(from_ns, to_ns)
         halvings = [parting(patch, moves) if thin else None for patch in belief.patches]
         middle_ns = (from_ns + to_ns) // 2
         if any(often is not None and often.max() > MOST for often in halvings) \
                 and from_ns < middle_ns:
-            first = self._stepped(belief, from_ns, middle_ns, controls, rate, thin)
-            return self._stepped(first, middle_ns, to_ns, controls, rate, thin)
+            half = _shared(region, 2)
+            first = self._stepped(belief, from_ns, middle_ns, controls, rate, thin, half)
+            return self._stepped(first, middle_ns, to_ns, controls, rate, thin, half)
         variance = self._variance(from_ns, to_ns)
-        patches = [moved_on_finer(loosened(patch, variance, self.region), moves, noise, often)
+        patches = [moved_on_finer(loosened(patch, variance, region), moves, noise, often)
                    for patch, often in zip(belief.patches, halvings)]
         dropped = belief.dropped + max(belief.mass - sum(patch.mass for patch in patches), 0.0)
         inside = [_in_the_world(patch) for patch in patches]
         return fitted(ActiveBelief(belief.base, tuple(p for p in inside if p is not None),
-                                   dropped), self.region)
+                                   dropped), region)
 
     def _variance(self, from_ns: int, to_ns: int) -> Array:
         """Return the covariance of the noise in a step, eps g  [TM, Eq. 93], (n, n)."""
@@ -278,6 +280,11 @@ def unsuited(model: StateModel) -> str:
     except ValueError as error:
         return f"expected 'full' for this {error}"
     return ''
+
+
+def _shared(region: RegionSettings, count: int) -> RegionSettings:
+    """Return what each of so many parts of a step may leave out."""
+    return region if count == 1 else replace(region, negligible=region.negligible / count)
 
 
 def _is_thin(variance: Array, across: Sequence[tuple[float, tuple[int, ...]]]) -> bool:

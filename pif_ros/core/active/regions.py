@@ -25,7 +25,7 @@ DIGITS, POWERS = 52, (1 << 11) - 1
 SMALL, FILLED = 512, 0.2
 #: Another one is, if that leaves less than this share of its cells, with their halos.
 WORTH = 0.7
-#: A patch with less than this share of another's mass would lose much of it to the other's measure.
+#: A patch with less than this share of another's mass would lose much by the other's measure.
 SLIGHT = 1e-3
 #: Patches that meet are put together, and cut anew, in a box of so many times their size at most.
 WASTE = 16
