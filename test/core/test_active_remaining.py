@@ -134,3 +134,14 @@ def test_what_a_step_leaves_out_is_no_more_where_it_is_made_in_many():
     filter_ = ActiveGridFilter(model, Grid((0, -1), (100, 1), (200, 20)), {}, 1.0)
     belief = filter_.predict(filter_.gaussian([10, 0], np.diag([1, spread**2])), 0, 2 * SECOND)
     assert belief.dropped < 5 * RegionSettings().negligible
+
+
+def test_what_the_first_cells_allow_is_possible_though_finer_ones_miss_it():
+    # a light barrier, in sight from the centre of a wide cell and of none of its halves
+    world = Grid((0,), (100,), (400,))
+    barrier = Sensor(lambda x, t: np.where(np.abs(x - 50.125) < 0.05, 1.0, np.nan), [[0.25]])
+    filter_ = ActiveGridFilter(still(1), world, {'barrier': barrier}, 1.0)
+    belief, log_evidence = filter_.correct(filter_.gaussian([50], [[4]]), [1.0], 'barrier', 0)
+    assert np.isfinite(log_evidence)
+    assert belief.mass == pytest.approx(1, abs=1e-4)
+    assert belief.mean() == pytest.approx([50.125], abs=0.125)

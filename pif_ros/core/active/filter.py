@@ -124,8 +124,11 @@ class ActiveGridFilter:
             finer = focused(prior, posterior, self.region)
             if finer is None:
                 break
-            prior = finer
-            posterior, log_evidence = self._corrected(prior, y, sensor, t)
+            anew, log_anew = self._corrected(finer, y, sensor, t)
+            if log_anew == -np.inf:
+                # what wide cells allowed is seen between the centres of finer ones
+                break
+            prior, posterior, log_evidence = finer, anew, log_anew
         return fitted(posterior, self.region), log_evidence
 
     def log_peak(self, belief: ActiveBelief, sensor: str, at_ns: int) -> float:
