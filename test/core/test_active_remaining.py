@@ -145,3 +145,12 @@ def test_what_the_first_cells_allow_is_possible_though_finer_ones_miss_it():
     assert np.isfinite(log_evidence)
     assert belief.mass == pytest.approx(1, abs=1e-4)
     assert belief.mean() == pytest.approx([50.125], abs=0.125)
+
+
+@pytest.mark.parametrize('period', [0.0, 2.0])
+def test_noise_that_comes_to_be_correlated_among_four_is_refused_at_once(period):
+    late = np.eye(4) + 0.3 * (1 - np.eye(4))
+    model = StateModel(tuple('xyzw'), lambda x, t: 0 * x, 0.1 * np.eye(4),
+                       lambda t: np.eye(4) if t < 1 else late, period=period)
+    with pytest.raises(ValueError, match="region: expected 'full'"):
+        ActiveGridFilter(model, Grid((-2,) * 4, (2,) * 4, (8,) * 4), {}, 1.0)

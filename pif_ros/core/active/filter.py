@@ -35,6 +35,8 @@ LONGEST = 32
 UNSAFE = 1e-200
 #: Within how many standard deviations a Gaussian prior is kept.
 AROUND = 6.0
+#: Times of a period, or of a day, at which noise that is a function of time is looked at.
+LOOKS, WHILE = 7, (0.0, 1.0, 10.0, 100.0, 1e3, 1e4, 86400.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +48,7 @@ class ActiveGridFilter:
     seconds of the longest step, which is shorter where neighbouring cells part; average_cells:
     whether a likelihood narrower than a cell is averaged over it; region: which cells are kept.
     Raises ValueError for a model whose noise depends on the state, or is correlated among more
-    than three states.
+    than three states at some times that are looked at; predict does so at all others.
     """
 
     model: StateModel
@@ -277,12 +279,20 @@ def unsuited(model: StateModel) -> str:
     if model.multiplicative:
         return ("expected 'full' where the noise depends on the state, got a vielbein that is a "
                 'function of it')
-    g = model.diffusion(0.0)
+    found = [model.diffusion(t) for t in _times(model)]
     try:
-        integer_directions(g, LONGEST)
+        for g in found:
+            integer_directions(g, LONGEST)
     except ValueError as error:
         return f"expected 'full' for this {error}"
     return ''
+
+
+def _times(model: StateModel) -> Sequence[float]:
+    """Return some times at which the noise of a model may differ, in seconds."""
+    if not callable(model.vielbein) and not callable(model.noise_covariance):
+        return (0.0,)
+    return [model.period * k / LOOKS for k in range(LOOKS)] if model.period else WHILE
 
 
 def _shared(region: RegionSettings, count: int) -> RegionSettings:
