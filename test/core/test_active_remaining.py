@@ -154,3 +154,16 @@ def test_noise_that_comes_to_be_correlated_among_four_is_refused_at_once(period)
                        lambda t: np.eye(4) if t < 1 else late, period=period)
     with pytest.raises(ValueError, match="region: expected 'full'"):
         ActiveGridFilter(model, Grid((-2,) * 4, (2,) * 4, (8,) * 4), {}, 1.0)
+
+
+def test_a_light_patch_in_a_stiff_place_does_not_widen_another():
+    model = StateModel(('x',), lambda x, t: np.where(
+        x < 50, 1.037, 1.037 + 40 * np.sin(x - 50)), [[0.5]])
+    filter_ = ActiveGridFilter(model, Grid((0,), (100,), (200,)), {}, 1.0)
+    far = filter_.gaussian([80], [[1]])
+    both = filter_.mixed(filter_.gaussian([10], [[1]]), far, 1e-6, 0)
+    both = filter_.predict(both, 0, 2 * SECOND)
+    main = ActiveBelief(both.base, (max(both.patches, key=lambda patch: patch.mass),))
+    assert main.mean() == pytest.approx([10 + 2 * 1.037], abs=1e-3)
+    assert main.covariance() == pytest.approx(np.array([[1 + 2 * 0.25]]), rel=0.01)
+    assert both.mass - main.mass == pytest.approx(1e-6, rel=0.02)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 #: By what share of a cell neighbouring cells may part or meet in a step that has noise: half of it
 #: comes before and half after the drift, which is of second order in this.
 PARTED = 0.5
+#: A patch whose neighbours part so many times less than those of another takes steps of its own:
+#: in too short ones thin noise is widened by the lattice.
+ALIKE = 8
 #: Cells along an axis that correlated noise goes at once, at most.
 LONGEST = 32
 #: A product below this share of the largest likelihood may have lost digits to underflow.
@@ -172,12 +175,17 @@ class ActiveGridFilter:
     def _carried(self, belief: ActiveBelief, from_ns: int, to_ns: int,
                  controls: Controls) -> ActiveBelief:
         """Return a belief after the time of a step, in as few as its noise and its drift allow."""
-        rate = max((parting_rate(self.model, patch.window, from_ns, to_ns, controls)
-                    for patch in belief.patches), default=0.0)
+        rates = [parting_rate(self.model, patch.window, from_ns, to_ns, controls)
+                 for patch in belief.patches]
         noise = self._noise(from_ns, to_ns)
         thin = all(_is_thin(*noise(patch.window)) for patch in belief.patches)
-        parted = (to_ns - from_ns) / NANOSECONDS * rate
-        count = 1 if thin else max(1, int(np.ceil(parted / PARTED)))
+        seconds, rate = (to_ns - from_ns) / NANOSECONDS, max(rates, default=0.0)
+        counts = [1 if thin else max(1, int(np.ceil(seconds * each / PARTED))) for each in rates]
+        count = max(counts, default=1)
+        slow = [ALIKE * each < count for each in counts]
+        if any(slow):
+            return _joined(belief, slow,
+                           lambda part: self._carried(part, from_ns, to_ns, controls))
         ends = [from_ns + (to_ns - from_ns) * k // count for k in range(count + 1)]
         region = _shared(self.region, count)
         for start_ns, end_ns in zip(ends, ends[1:]):
@@ -293,6 +301,20 @@ def _times(model: StateModel) -> Sequence[float]:
     if not callable(model.vielbein) and not callable(model.noise_covariance):
         return (0.0,)
     return [model.period * k / LOOKS for k in range(LOOKS)] if model.period else WHILE
+
+
+def _joined(belief: ActiveBelief, chosen: Sequence[bool],
+            carried: Callable[[ActiveBelief], ActiveBelief]) -> ActiveBelief:
+    """Return a belief of which the patches that are chosen, and all others, have been carried."""
+    patches: list[Patch] = []
+    dropped = belief.dropped
+    for side in (True, False):
+        part = ActiveBelief(belief.base, tuple(
+            patch for patch, mine in zip(belief.patches, chosen) if mine is side))
+        end = carried(part)
+        patches += end.patches
+        dropped += end.dropped * part.mass / belief.mass
+    return ActiveBelief(belief.base, tuple(patches), dropped)
 
 
 def _shared(region: RegionSettings, count: int) -> RegionSettings:
