@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -187,7 +187,7 @@ class ActiveGridFilter:
             return _joined(belief, slow,
                            lambda part: self._carried(part, from_ns, to_ns, controls))
         ends = [from_ns + (to_ns - from_ns) * k // count for k in range(count + 1)]
-        region = _shared(self.region, count)
+        region = self.region.shared(count)
         for start_ns, end_ns in zip(ends, ends[1:]):
             belief = self._stepped(belief, start_ns, end_ns, controls, rate, thin, region)
         return belief
@@ -200,7 +200,7 @@ class ActiveGridFilter:
         middle_ns = (from_ns + to_ns) // 2
         if any(often is not None and often.max() > MOST for often in halvings) \
                 and from_ns < middle_ns:
-            half = _shared(region, 2)
+            half = region.shared(2)
             first = self._stepped(belief, from_ns, middle_ns, controls, rate, thin, half)
             return self._stepped(first, middle_ns, to_ns, controls, rate, thin, half)
         variance = self._variance(from_ns, to_ns)
@@ -315,11 +315,6 @@ def _joined(belief: ActiveBelief, chosen: Sequence[bool],
         patches += end.patches
         dropped += end.dropped * part.mass / belief.mass
     return ActiveBelief(belief.base, tuple(patches), dropped)
-
-
-def _shared(region: RegionSettings, count: int) -> RegionSettings:
-    """Return what each of so many parts of a step may leave out."""
-    return region if count == 1 else replace(region, negligible=region.negligible / count)
 
 
 def _is_thin(variance: Array, across: Sequence[tuple[float, tuple[int, ...]]]) -> bool:
