@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.active.pieces import pieces
-from pif_ros.core.active.window import inside, Window
+from pif_ros.core.active.window import Window, wrapped
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
 from pif_ros.core.modes import densest, Mode, modes, MOST, NEARLY_ALL, Pieces, SHARE
@@ -96,7 +96,7 @@ class ActiveBelief:
         densest = max(self.patches, key=lambda patch: patch.density.max())
         where = np.unravel_index(np.argmax(densest.density), densest.density.shape)
         x = np.array([axis[i] for axis, i in zip(densest.window.grid.axes, where)])
-        return inside(self.base, x)
+        return wrapped(self.base, x)
 
     def covariance(self, about: ArrayLike | None = None) -> Array:
         """Return the second moments about a point (the mean where none is given), (n, n)."""
@@ -167,8 +167,8 @@ def seen_cells(patch: Patch, seen: Sequence[int] | None) -> tuple[Array, Array, 
     grid = patch.window.grid
     kept = [i for i in range(grid.ndim) if seen is None or i in seen]
     lines = [axis if i in kept else axis[len(axis) // 2, None] for i, axis in enumerate(grid.axes)]
-    centres = inside(patch.window.base,
-                     np.stack(np.meshgrid(*lines, indexing='ij')).reshape(grid.ndim, -1))
+    centres = np.stack(np.meshgrid(*lines, indexing='ij')).reshape(grid.ndim, -1)
+    centres = wrapped(patch.window.base, centres)
     widths = np.where(np.isin(np.arange(grid.ndim), kept), grid.spacing, 0.0)
     return patch.marginal(*kept).ravel(), centres, np.broadcast_to(widths[:, None], centres.shape)
 

@@ -15,7 +15,7 @@ from pif_ros.core.active.parting import MOST, moved_on_finer, parting
 from pif_ros.core.active.regions import thick
 from pif_ros.core.active.settings import RegionSettings
 from pif_ros.core.active.transport import Mask, Moves, Noise, SPREAD
-from pif_ros.core.active.window import RolledGrid, Window
+from pif_ros.core.active.window import RolledGrid, Window, wrapped
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.controls import Controls, NANOSECONDS, NO_CONTROLS
 from pif_ros.core.grid import Grid
@@ -231,7 +231,8 @@ class ActiveGridFilter:
                     for i, axis in enumerate(window.grid.axes)]
             x = np.stack(np.meshgrid(*axes, indexing='ij'))
             places = np.flatnonzero(held.any(axis=alike, keepdims=True))
-            start, cells = np.take(x.reshape(len(x), -1), places, axis=1), np.zeros_like(x)
+            start = wrapped(self.grid, np.take(x.reshape(len(x), -1), places, axis=1))
+            cells = np.zeros_like(x)
             end = flow(self.model, window, start, from_ns, to_ns, controls, rate)
             for along, far, width in zip(cells, end - start, window.spacing):
                 along.reshape(-1)[places] = far / width

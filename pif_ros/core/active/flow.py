@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from pif_ros.core.active.window import inside, Window
+from pif_ros.core.active.window import Window, wrapped
 from pif_ros.core.controls import Controls, NANOSECONDS
 from pif_ros.core.grid import Grid
 from pif_ros.core.models import Field, StateModel
@@ -66,8 +66,8 @@ def parting_rate(model: StateModel, window: Window, from_ns: int, to_ns: int,
     The largest sum over j of |df_i/dx_j| dx_j / dx_i, with dx the widths of a cell.
     """
     cells = np.unravel_index(_some(window.size, LOOKS), window.shape)
-    x = inside(window.base, np.stack([axis[place] for axis, place
-                                      in zip(window.grid.axes, cells)]))
+    x = np.stack([axis[place] for axis, place in zip(window.grid.axes, cells)])
+    x = wrapped(window.base, x)
     scale, rate = window.spacing, 0.0
     for start_ns, end_ns, u in controls.between(from_ns, to_ns):
         driven = model.under(u).at_scale(window.base.spacing)
@@ -82,7 +82,7 @@ def _drift(model: StateModel, base: Grid) -> Field:
     """Return the drift, not asked for what lies beyond a circle's edges."""
     if not any(base.periodic):
         return model.drift
-    return lambda x, t: model.drift(inside(base, x), t)
+    return lambda x, t: model.drift(wrapped(base, x), t)
 
 
 def _stepped(drift: Field, x: Array, t: float, h: float, widths: Array, near: float,
