@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.active.pieces import pieces
-from pif_ros.core.active.window import Window
+from pif_ros.core.active.window import Window, wrapped
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.grid import Grid
 from pif_ros.core.modes import densest, Mode, modes, MOST, NEARLY_ALL, Pieces, SHARE
@@ -96,7 +96,7 @@ class ActiveBelief:
         densest = max(self.patches, key=lambda patch: patch.density.max())
         where = np.unravel_index(np.argmax(densest.density), densest.density.shape)
         x = np.array([axis[i] for axis, i in zip(densest.window.grid.axes, where)])
-        return _inside(self.base, x)
+        return wrapped(self.base, x)
 
     def covariance(self, about: ArrayLike | None = None) -> Array:
         """Return the second moments about a point (the mean where none is given), (n, n)."""
@@ -168,6 +168,7 @@ def seen_cells(patch: Patch, seen: Sequence[int] | None) -> tuple[Array, Array, 
     kept = [i for i in range(grid.ndim) if seen is None or i in seen]
     lines = [axis if i in kept else axis[len(axis) // 2, None] for i, axis in enumerate(grid.axes)]
     centres = np.stack(np.meshgrid(*lines, indexing='ij')).reshape(grid.ndim, -1)
+    centres = wrapped(patch.window.base, centres)
     widths = np.where(np.isin(np.arange(grid.ndim), kept), grid.spacing, 0.0)
     return patch.marginal(*kept).ravel(), centres, np.broadcast_to(widths[:, None], centres.shape)
 
@@ -190,15 +191,6 @@ def _inner_mass(patch: Patch) -> float:
             last = window.base.shape[axis] - 1
             inner = inner.compress((0 < cell) & (cell < last), axis)
     return float(inner.sum() * window.spacing.prod())
-
-
-def _inside(base: Grid, x: Array) -> Array:
-    """Return a state with what is periodic between its edges."""
-    for i, round_ in enumerate(base.periodic):
-        if round_:
-            period = base.upper[i] - base.lower[i]
-            x[i] -= period * np.floor((x[i] - base.lower[i]) / period)
-    return x
 
 
 def _add(mass: Array, patch: Patch, axes: Sequence[int]) -> None:

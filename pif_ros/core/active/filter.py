@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 from pif_ros.core.active.belief import ActiveBelief, Patch, seen_cells
 from pif_ros.core.active.compiled import warm_up
 from pif_ros.core.active.flow import flow, parting_rate
-from pif_ros.core.active.focus import fitted, focused
+from pif_ros.core.active.focus import fitted, focused, loosened
 from pif_ros.core.active.parting import MOST, moved_on_finer, parting
 from pif_ros.core.active.regions import thick
 from pif_ros.core.active.settings import RegionSettings
 from pif_ros.core.active.transport import Mask, Moves, Noise, SPREAD
-from pif_ros.core.active.window import Window
+from pif_ros.core.active.window import RolledGrid, Window, wrapped
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.controls import Controls, NANOSECONDS, NO_CONTROLS
 from pif_ros.core.grid import Grid
@@ -29,12 +29,17 @@ Array = NDArray[np.float64]
 #: By what share of a cell neighbouring cells may part or meet in a step that has noise: half of it
 #: comes before and half after the drift, which is of second order in this.
 PARTED = 0.5
+#: A patch whose neighbours part so many times less than those of another takes steps of its own:
+#: in too short ones thin noise is widened by the lattice.
+ALIKE = 8
 #: Cells along an axis that correlated noise goes at once, at most.
 LONGEST = 32
 #: A product below this share of the largest likelihood may have lost digits to underflow.
 UNSAFE = 1e-200
 #: Within how many standard deviations a Gaussian prior is kept.
 AROUND = 6.0
+#: Times of a period, or of a day, at which noise that is a function of time is looked at.
+LOOKS, WHILE = 7, (0.0, 1.0, 10.0, 100.0, 1e3, 1e4, 86400.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +51,7 @@ class ActiveGridFilter:
     seconds of the longest step, which is shorter where neighbouring cells part; average_cells:
     whether a likelihood narrower than a cell is averaged over it; region: which cells are kept.
     Raises ValueError for a model whose noise depends on the state, or is correlated among more
-    than three states.
+    than three states at some times that are looked at; predict does so at all others.
     """
 
     model: StateModel
@@ -124,8 +129,11 @@ class ActiveGridFilter:
             finer = focused(prior, posterior, self.region)
             if finer is None:
                 break
-            prior = finer
-            posterior, log_evidence = self._corrected(prior, y, sensor, t)
+            anew, log_anew = self._corrected(finer, y, sensor, t)
+            if log_anew == -np.inf:
+                # what wide cells allowed is seen between the centres of finer ones
+                break
+            prior, posterior, log_evidence = finer, anew, log_anew
         return fitted(posterior, self.region), log_evidence
 
     def log_peak(self, belief: ActiveBelief, sensor: str, at_ns: int) -> float:
@@ -167,38 +175,50 @@ class ActiveGridFilter:
     def _carried(self, belief: ActiveBelief, from_ns: int, to_ns: int,
                  controls: Controls) -> ActiveBelief:
         """Return a belief after the time of a step, in as few as its noise and its drift allow."""
-        rate = max((parting_rate(self.model, patch.window, from_ns, to_ns, controls)
-                    for patch in belief.patches), default=0.0)
+        rates = [parting_rate(self.model, patch.window, from_ns, to_ns, controls)
+                 for patch in belief.patches]
         noise = self._noise(from_ns, to_ns)
         thin = all(_is_thin(*noise(patch.window)) for patch in belief.patches)
-        parted = (to_ns - from_ns) / NANOSECONDS * rate
-        count = 1 if thin else max(1, int(np.ceil(parted / PARTED)))
+        seconds, rate = (to_ns - from_ns) / NANOSECONDS, max(rates, default=0.0)
+        counts = [1 if thin else max(1, int(np.ceil(seconds * each / PARTED))) for each in rates]
+        count = max(counts, default=1)
+        slow = [ALIKE * each < count for each in counts]
+        if any(slow):
+            return _joined(belief, slow,
+                           lambda part: self._carried(part, from_ns, to_ns, controls))
         ends = [from_ns + (to_ns - from_ns) * k // count for k in range(count + 1)]
+        region = self.region.shared(count)
         for start_ns, end_ns in zip(ends, ends[1:]):
-            belief = self._stepped(belief, start_ns, end_ns, controls, rate, thin)
+            belief = self._stepped(belief, start_ns, end_ns, controls, rate, thin, region)
         return belief
 
     def _stepped(self, belief: ActiveBelief, from_ns: int, to_ns: int, controls: Controls,
-                 rate: float, thin: bool) -> ActiveBelief:
+                 rate: float, thin: bool, region: RegionSettings) -> ActiveBelief:
         """Return a belief after a step, or after two of half its length where it falls apart."""
         moves, noise = self._moves(from_ns, to_ns, controls, rate), self._noise(from_ns, to_ns)
         halvings = [parting(patch, moves) if thin else None for patch in belief.patches]
         middle_ns = (from_ns + to_ns) // 2
         if any(often is not None and often.max() > MOST for often in halvings) \
                 and from_ns < middle_ns:
-            first = self._stepped(belief, from_ns, middle_ns, controls, rate, thin)
-            return self._stepped(first, middle_ns, to_ns, controls, rate, thin)
-        patches = [moved_on_finer(patch, moves, noise, often)
+            half = region.shared(2)
+            first = self._stepped(belief, from_ns, middle_ns, controls, rate, thin, half)
+            return self._stepped(first, middle_ns, to_ns, controls, rate, thin, half)
+        variance = self._variance(from_ns, to_ns)
+        patches = [moved_on_finer(loosened(patch, variance, region), moves, noise, often)
                    for patch, often in zip(belief.patches, halvings)]
         dropped = belief.dropped + max(belief.mass - sum(patch.mass for patch in patches), 0.0)
         inside = [_in_the_world(patch) for patch in patches]
         return fitted(ActiveBelief(belief.base, tuple(p for p in inside if p is not None),
-                                   dropped), self.region)
+                                   dropped), region)
+
+    def _variance(self, from_ns: int, to_ns: int) -> Array:
+        """Return the covariance of the noise in a step, eps g  [TM, Eq. 93], (n, n)."""
+        return ((to_ns - from_ns) / NANOSECONDS
+                * self.model.diffusion((from_ns + to_ns) / 2 / NANOSECONDS))
 
     def _noise(self, from_ns: int, to_ns: int) -> Noise:
-        """Return what tells the variance of the noise in a step, eps g  [TM, Eq. 93]."""
-        variance = ((to_ns - from_ns) / NANOSECONDS
-                    * self.model.diffusion((from_ns + to_ns) / 2 / NANOSECONDS))
+        """Return what tells the variance of the noise in a step in cells."""
+        variance = self._variance(from_ns, to_ns)
         return lambda window: integer_directions(
             variance / np.outer(window.spacing, window.spacing), LONGEST)
 
@@ -211,8 +231,9 @@ class ActiveGridFilter:
                     for i, axis in enumerate(window.grid.axes)]
             x = np.stack(np.meshgrid(*axes, indexing='ij'))
             places = np.flatnonzero(held.any(axis=alike, keepdims=True))
-            start, cells = np.take(x.reshape(len(x), -1), places, axis=1), np.zeros_like(x)
-            end = flow(self.model, start, from_ns, to_ns, controls, rate)
+            start = wrapped(self.grid, np.take(x.reshape(len(x), -1), places, axis=1))
+            cells = np.zeros_like(x)
+            end = flow(self.model, window, start, from_ns, to_ns, controls, rate)
             for along, far, width in zip(cells, end - start, window.spacing):
                 along.reshape(-1)[places] = far / width
             return cells
@@ -242,6 +263,7 @@ class ActiveGridFilter:
             shape = tuple(2 if i in unseen else count for i, count in enumerate(grid.shape))
             grid = Grid(grid.lower, grid.upper, shape, grid.periodic)
             p = np.broadcast_to(p.max(axis=unseen, keepdims=True), shape)
+        grid = RolledGrid.of(grid, self.grid)
         likelihood = GridLikelihood(grid, self.sensors[sensor], self.average_cells, once=True)
         log_l = likelihood.log(y, p.ravel(), t).reshape(grid.shape)
         one = tuple(slice(0, 1) if i in unseen else slice(None) for i in range(grid.ndim))
@@ -266,12 +288,34 @@ def unsuited(model: StateModel) -> str:
     if model.multiplicative:
         return ("expected 'full' where the noise depends on the state, got a vielbein that is a "
                 'function of it')
-    g = model.diffusion(0.0)
+    found = [model.diffusion(t) for t in _times(model)]
     try:
-        integer_directions(g, LONGEST)
+        for g in found:
+            integer_directions(g, LONGEST)
     except ValueError as error:
         return f"expected 'full' for this {error}"
     return ''
+
+
+def _times(model: StateModel) -> Sequence[float]:
+    """Return some times at which the noise of a model may differ, in seconds."""
+    if not callable(model.vielbein) and not callable(model.noise_covariance):
+        return (0.0,)
+    return [model.period * k / LOOKS for k in range(LOOKS)] if model.period else WHILE
+
+
+def _joined(belief: ActiveBelief, chosen: Sequence[bool],
+            carried: Callable[[ActiveBelief], ActiveBelief]) -> ActiveBelief:
+    """Return a belief of which the patches that are chosen, and all others, have been carried."""
+    patches: list[Patch] = []
+    dropped = belief.dropped
+    for side in (True, False):
+        part = ActiveBelief(belief.base, tuple(
+            patch for patch, mine in zip(belief.patches, chosen) if mine is side))
+        end = carried(part)
+        patches += end.patches
+        dropped += end.dropped * part.mass / belief.mass
+    return ActiveBelief(belief.base, tuple(patches), dropped)
 
 
 def _is_thin(variance: Array, across: Sequence[tuple[float, tuple[int, ...]]]) -> bool:

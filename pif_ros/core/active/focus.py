@@ -25,6 +25,8 @@ LAVISH = 2.5
 #: A measurement may leave features narrower than asked for by this factor before it is used anew
 #: on finer cells.
 TOLERATED = 0.7
+#: Noise narrower than this share of its largest variance is along a line.
+LINE = 1e-12
 #: A patch with less than this share of the mass is not made finer before a measurement.
 LIGHT = 1e-6
 
@@ -46,6 +48,24 @@ def fitted(belief: ActiveBelief, settings: RegionSettings) -> ActiveBelief:
     return replace(belief, patches=tuple(patches))
 
 
+def loosened(patch: Patch, noise: Array, settings: RegionSettings) -> Patch:
+    """
+    Return a patch without the fine cells that the noise of a step would blur.
+
+    noise: its covariance, (n, n).  Such cells would be made as far as the noise goes, in vain.
+    """
+    needed = 2 * LAVISH * settings.resolution * patch.window.spacing
+    if not (np.array(patch.window.level) * (np.diag(noise) > needed**2)).any():
+        return patch
+    # the width given all other states, as features are measured; none along a line
+    some = np.eye(len(noise)) * LINE * np.diag(noise).max()
+    narrow = 1 / np.sqrt(np.diag(np.linalg.inv(noise + some)))
+    for axis, width in enumerate(narrow):
+        while patch.window.level[axis] > 0 and width > needed[axis]:
+            patch, needed[axis] = paired(patch, axis), 2 * needed[axis]
+    return patch
+
+
 def focused(prior: ActiveBelief, posterior: ActiveBelief,
             settings: RegionSettings) -> ActiveBelief | None:
     """
@@ -55,27 +75,30 @@ def focused(prior: ActiveBelief, posterior: ActiveBelief,
     """
     room, result, changed = prior.base.size - prior.size, [], False
     for before, after in zip(prior.patches, posterior.patches):
+        # what is replaced makes room: a prior may have all of the world's cells
+        room += before.window.size
         finer = _finer(before, after, settings, room) if after.mass > LIGHT else None
         changed |= finer is not None
         result += finer or [before]
-        room -= sum(patch.window.size for patch in finer or [])
+        room -= sum(patch.window.size for patch in finer or [before])
     return replace(prior, patches=tuple(result)) if changed else None
 
 
 def _finer(before: Patch, after: Patch, settings: RegionSettings, room: int) -> list[Patch] | None:
     """Return the parts of a patch that its posterior needs, halved; None where none are narrow."""
     parts = regions(ActiveBelief(after.window.base, (after,)), settings.negligible).patches
-    result, changed, left = [], False, before.density.copy()
-    for part in parts:
+    left, changed = before.density.copy(), False
+    result = [_taken(before.window, left, part.window) for part in parts]
+    room -= sum(inner.window.size for inner in result)
+    for k, part in enumerate(parts):
         narrow = [axis for axis, width in enumerate(widths(part))
                   if width < TOLERATED * settings.resolution
                   and part.window.level[axis] < settings.finest]
-        inner = _taken(before.window, left, part.window)
-        if inner.window.size << len(narrow) <= room:
-            changed |= len(narrow) > 0
+        size = result[k].window.size
+        if narrow and (size << len(narrow)) - size <= room:
             for axis in narrow:
-                inner = halved(inner, axis)
-        result.append(inner)
+                result[k] = halved(result[k], axis)
+            room, changed = room - (result[k].window.size - size), True
     return result if changed else None
 
 

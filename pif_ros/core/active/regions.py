@@ -25,6 +25,8 @@ DIGITS, POWERS = 52, (1 << 11) - 1
 SMALL, FILLED = 512, 0.2
 #: Another one is, if that leaves less than this share of its cells, with their halos.
 WORTH = 0.7
+#: A patch with less than this share of another's mass would lose much by the other's measure.
+SLIGHT = 1e-3
 #: Patches that meet are put together, and cut anew, in a box of so many times their size at most.
 WASTE = 16
 
@@ -47,7 +49,7 @@ def regions(belief: ActiveBelief, negligible: float) -> ActiveBelief:
 
 
 def _put_together(patches: Sequence[Patch]) -> list[Patch]:
-    """Return patches with those of a level that overlap made one."""
+    """Return patches with those of a level that overlap made one, but for light humps."""
     left, result = list(patches), []
     while left:
         group = [left.pop()]
@@ -55,6 +57,7 @@ def _put_together(patches: Sequence[Patch]) -> list[Patch]:
         while True:
             found = next(((k, both) for k, patch in enumerate(left)
                           if (both := _hull(hull, patch.window)) is not None
+                          and not any(_is_hump_beside(patch, other) for other in group)
                           and both.size <= WASTE * (patch.window.size + sum(
                               p.window.size for p in group))), None)
             if found is None:
@@ -63,6 +66,20 @@ def _put_together(patches: Sequence[Patch]) -> list[Patch]:
             hull = found[1]
         result.append(group[0] if len(group) == 1 else _sum(hull, group))
     return result
+
+
+def _is_hump_beside(a: Patch, b: Patch) -> bool:
+    """Return whether the lighter of two is no tail of the other, but would be trimmed as one."""
+    light, heavy = (a, b) if a.mass < b.mass else (b, a)
+    if light.mass > SLIGHT * heavy.mass:
+        return False
+    densest = np.unravel_index(np.argmax(light.density), light.density.shape)
+    place = []
+    for i, round_ in enumerate(heavy.window.base.periodic):
+        cell = light.window.offset[i] + int(densest[i]) - heavy.window.offset[i]
+        place.append(cell % heavy.window.cells[i] if round_ else cell)
+    inside = all(0 <= cell < count for cell, count in zip(place, heavy.window.shape))
+    return not inside or bool(heavy.density[tuple(place)] < light.density[densest])
 
 
 def _hull(a: Window, b: Window) -> Window | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -29,3 +29,7 @@ class RegionSettings:
                              f'got {self.resolution!r}')
         if not 0 <= self.finest <= 20 or self.finest != int(self.finest):
             raise ValueError(f'finest: expected a whole number from 0 to 20, got {self.finest!r}')
+
+    def shared(self, count: int) -> RegionSettings:
+        """Return what each of so many parts of a step may leave out."""
+        return self if count == 1 else replace(self, negligible=self.negligible / count)

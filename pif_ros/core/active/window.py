@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 import math
 
@@ -83,3 +83,36 @@ class Window:
         cells: NDArray[np.float64] = (
             (x - lower) / self.spacing.reshape(-1, *rest) - first - 0.5)
         return cells
+
+
+def wrapped(base: Grid, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return states (n, ...) with what is periodic between its edges."""
+    for i, round_ in enumerate(base.periodic):
+        low, high = base.lower[i], base.upper[i]
+        # for a few cells half the time of min and max
+        if round_ and not (low <= np.minimum.reduce(x[i], None)
+                           and np.maximum.reduce(x[i], None) < high):
+            x = x.copy()
+            with np.errstate(invalid='ignore'):
+                x[i] -= (high - low) * np.floor((x[i] - low) / (high - low))
+    return x
+
+
+@dataclass(frozen=True)
+class RolledGrid(Grid):
+    """Cells that go on beyond the edge of a circle, with centres where their world has them."""
+
+    world: Grid = field(kw_only=True)
+
+    @classmethod
+    def of(cls, grid: Grid, world: Grid) -> Grid:
+        """Return a grid rolled into a world, itself where it does not reach beyond it."""
+        beyond = any(round_ and high > end for round_, high, end in
+                     zip(world.periodic, grid.upper, world.upper))
+        return (cls(grid.lower, grid.upper, grid.shape, grid.periodic, world=world)
+                if beyond else grid)
+
+    @cached_property
+    def points(self) -> NDArray[np.float64]:
+        """Return the cell centres in C order, shape (n, size)."""
+        return wrapped(self.world, super().points)
