@@ -177,7 +177,7 @@ class Inbox:
         Account for what waits, forget it, and start from a belief (None: the prior).
 
         steered_ns: a stamp at which the robot is still driven as it was, None where it is not;
-        where it is, what was measured since the belief's stamp is worked in anew.
+        where it is, what was measured from the belief's stamp on is worked in anew.
         """
         self.account()
         self._tracker.reset(belief, stamp_ns, steered_ns)

@@ -63,8 +63,9 @@ DIAGNOSTICS = Endpoint('/diagnostics', DiagnosticArray, 'once a second: the beli
                        "every source's messages", _reliable(10))
 PUBLICATIONS = (POSE, POSE_UNSTAMPED, DENSITY, DENSITY_MAP, MODES, MARKERS, DIAGNOSTICS)
 
-INITIAL_POSE = Endpoint('initialpose', PoseWithCovarianceStamped, 'restarts the belief '
-                        "there; RViz's 2D Pose Estimate", _reliable(10))
+INITIAL_POSE = Endpoint('initialpose', PoseWithCovarianceStamped, 'restarts the belief there; '
+                        'what was measured from its stamp on, within `time.history`, still '
+                        "counts; RViz's 2D Pose Estimate", _reliable(10))
 SUBSCRIPTIONS = (INITIAL_POSE,)
 
 RESET = Endpoint('~/reset', Trigger, 'back to the prior; it holds at the next measurement')

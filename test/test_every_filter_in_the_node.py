@@ -101,7 +101,8 @@ def test_it_restarts_from_a_pose_and_from_nothing(rig):
     follow(rig)
     pose = PoseWithCovarianceStamped()
     pose.header.frame_id = 'map'
-    stamp_into(pose.header.stamp, SEEN[-1][0])
+    # what was measured at the pose's stamp counts with it
+    stamp_into(pose.header.stamp, SEEN[-1][0] + 1)
     pose.pose.pose.position.x, pose.pose.pose.position.y = -2.0, 3.0
     pose.pose.covariance[0], pose.pose.covariance[7] = 0.25, 0.36
     rig.send('initialpose', pose)

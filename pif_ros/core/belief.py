@@ -163,22 +163,23 @@ def gaussian_on(grid: Grid, mean: Array, covariance: Array) -> Array:
     On a periodic axis it is the sum over all turns.  A standard deviation below half a cell, in
     whatever direction, is widened to it, or the centres would miss it.
     """
-    cell = np.outer(grid.spacing, grid.spacing)
-    widths, turned = np.linalg.eigh(covariance / cell)
-    P = (turned * np.maximum(widths, 0.25)) @ turned.T * cell
+    # all in cells
+    widths, turned = np.linalg.eigh(covariance / np.outer(grid.spacing, grid.spacing))
+    P = (turned * np.maximum(widths, 0.25)) @ turned.T
     precision, density = np.linalg.inv(P), np.zeros(grid.size)
-    nearest = grid.wrap(grid.points - mean[:, None])
+    nearest = grid.wrap(grid.points - mean[:, None]) / grid.spacing[:, None]
     for turn in _turns(grid, np.sqrt(np.diag(P))):
         d = nearest + turn
         density += np.exp(-0.5 * np.einsum('ik,ij,jk->k', d, precision, d))
-    return density.reshape(grid.shape) / np.sqrt(np.linalg.det(2 * np.pi * P))
+    return density.reshape(grid.shape) / (np.sqrt(np.linalg.det(2 * np.pi * P))
+                                          * grid.cell_volume)
 
 
 def _turns(grid: Grid, deviations: Array) -> list[Array]:
-    """Return the shifts (n, 1) by whole periods that a density so wide reaches."""
+    """Return the shifts (n, 1) by whole periods that a density so wide reaches, in cells."""
     steps: list[Array] = [np.zeros(1)] * grid.ndim
     for i in np.flatnonzero(grid.periodic):
-        period = grid.upper[i] - grid.lower[i]
+        period = grid.shape[i]
         count = min(int(7 * deviations[i] / period + 0.5), TURNS)
         steps[i] = period * np.arange(-count, count + 1.0)
     return [np.array(turn)[:, None] for turn in itertools.product(*steps)]
