@@ -29,12 +29,14 @@ SEED = 3
 PATIENCE, LIMIT = 4.0, 20.0
 #: The modules of the layer, and the tests that are to notice what happens to them.
 LAYER = ('inbox', 'listener', 'sources', 'fields', 'start', 'timekeeper', 'accounts', 'verdicts',
-         'parameters', 'conversions', 'config/kinds', 'core/guard', 'core/tracker')
+         'parameters', 'conversions', 'config/kinds', 'core/guard', 'core/tracker',
+         'core/steering')
 TESTS = ('test_filter_node', 'test_control_in_the_node', 'test_accounts_in_the_node',
          'test_gate_in_the_node', 'test_going_on', 'test_filter_bank', 'test_sources',
          'test_fields', 'test_field_writer', 'test_accounts', 'test_verdicts', 'test_parameters',
-         'test_conversions', 'test_config', 'test_guard_config', 'core/test_guard',
-         'core/test_tracker', 'core/test_tracker_controls',
+         'test_conversions', 'test_config', 'test_guard_config', 'test_inbox',
+         'test_sources_remaining', 'test_node_remaining', 'core/test_guard', 'core/test_tracker',
+         'core/test_tracker_controls', 'core/test_tracker_remaining',
          'test_proofs.py::test_a_share_of_what_is_proven_holds[fuzz]')
 
 _COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt,
