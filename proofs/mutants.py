@@ -109,39 +109,48 @@ class _Seen:
 
 def _statement(tree: ast.Module, line: int) -> range:
     """Return the lines of the innermost statement on a line, without those that it contains."""
-    innermost = max((node for node in ast.walk(tree) if isinstance(node, ast.stmt)
-                     and node.lineno <= line <= (node.end_lineno or 0)),
-                    key=lambda node: (node.lineno, -(node.end_lineno or 0)))
+    innermost = max(_around(tree, line), key=lambda node: (_first(node), -(node.end_lineno or 0)))
     body = getattr(innermost, 'body', None)
-    return range(innermost.lineno, max(line, body[0].lineno - 1 if body
-                                       else innermost.end_lineno or 0) + 1)
+    return range(_first(innermost), max(line, body[0].lineno - 1 if body
+                                        else innermost.end_lineno or 0) + 1)
+
+
+def _around(tree: ast.Module, line: int) -> Iterator[ast.stmt]:
+    """Yield the statements on a line, whole ones and parts."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.stmt) and _first(node) <= line <= (node.end_lineno or 0):
+            yield node
+
+
+def _first(node: ast.stmt) -> int:
+    """Return the first line of a statement, decorators included."""
+    return min([node.lineno, *(each.lineno for each in getattr(node, 'decorator_list', ()))])
 
 
 def _named_by(tree: ast.Module, line: int) -> set[str]:
     """Return the names that a statement gives which runs at import: of values and functions."""
     names: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or 0):
-            if isinstance(node, (ast.Assign, ast.AnnAssign)):
-                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-                names |= {each.id for target in targets for each in ast.walk(target)
-                          if isinstance(each, ast.Name)}
-            elif isinstance(node, ast.FunctionDef):
-                names.add(node.name)
+    for node in _around(tree, line):
+        if isinstance(node, (ast.Assign, ast.AnnAssign)):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names |= {each.id for target in targets for each in ast.walk(target)
+                      if isinstance(each, ast.Name)}
+        elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            names.add(node.name)
     return names
 
 
 def _survivor(folders: SimpleQueue[Path], seen: _Seen, module: str, number: int) -> str | None:
     """Return what a mutant is where no test notices it, tried in a free copy."""
-    folder = folders.get()
-    path = folder / 'pif_ros' / f'{module}.py'
-    original = path.read_text(encoding='utf-8')
-    tree = ast.parse(original)
+    tree = _tree(ROOT, module)
     place = list(_places(tree))[number]
     before, tests = ast.unparse(place), seen.by(module, tree, place)
     _mutate(place)
-    path.write_text(ast.unparse(tree), encoding='utf-8')
+    folder = folders.get()
+    path = folder / 'pif_ros' / f'{module}.py'
+    original = path.read_text(encoding='utf-8')
     try:
+        path.write_text(ast.unparse(tree), encoding='utf-8')
         noticed = tests and _noticed(folder, tests, sum(seen.seconds[test] for test in tests))
     finally:
         path.write_text(original, encoding='utf-8')
