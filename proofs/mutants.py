@@ -98,7 +98,7 @@ class _Seen:
 
     def _of_names(self, names: set[str]) -> set[str]:
         """Return the tests that run any line of the package which has one of some names."""
-        wanted = re.compile(rf'\\b({"|".join(map(re.escape, sorted(names)))})\\b')
+        wanted = re.compile(rf'\b({"|".join(map(re.escape, sorted(names)))})\b')
         found: set[str] = set()
         for file, lines in self._witnesses.items():
             text = (ROOT / 'pif_ros' / file).read_text(encoding='utf-8').splitlines()

@@ -141,3 +141,15 @@ def test_a_sensor_that_was_assumed_is_named():
     assert str(error.value) == f'measurements.main.params.sigma: expected a value{of}none'
     named = refusal(measurements__main__sensor='range', measurements__main__params__landmark=[1.0])
     assert named == 'measurements.main.params.landmark: expected 2 finite numbers, got [1.0]'
+
+
+@pytest.mark.parametrize(('name', 'taken', 'refused'), [
+    ('operator.steps', [1, 1000], [0, 1001]), ('publish.rate', [0.0, 1e-3, 1e3], [5e-4, 1000.5]),
+    ('checkpoint_period', [0.0, 0.1, 1e9], [0.05, 2e9]),
+    ('diagnostics.rate', [0.0, 1e-3, 1e3], [-1.0, 1000.5])])
+def test_what_is_said_of_a_parameter_s_range_holds_to_its_ends(name, taken, refused):
+    for value in taken:
+        assert Config.from_parameters({**ROBOT, name: value})
+    for value in refused:
+        with pytest.raises(ConfigError, match=f'{name}: expected'):
+            Config.from_parameters({**ROBOT, name: value})

@@ -109,8 +109,10 @@ def test_a_stamp_that_is_none_is_refused(stamp_ns):
 def test_a_stamp_may_be_ahead_of_the_clock_by_so_much_and_no_more():
     ahead = source('sensor_msgs/msg/JointState', 'position', max_ahead=0.25)
     assert ahead.item(joints(1.0, 2.0, stamp_ns=NOW + 250_000_000), NOW)
-    why, sentence = reason(joints(1.0, 2.0, stamp_ns=NOW + 250_000_001), ahead)
+    why, sentence = reason(joints(1.0, 2.0, stamp_ns=NOW + 251_000_000), ahead)
     assert why == 'from the future' and 'time.max_ahead' in sentence
+    assert sentence.endswith('got one 0.251 s after it')
+    assert reason(joints(1.0, 2.0, stamp_ns=NOW + 250_000_001), ahead)[0] == why
 
 
 def test_before_there_is_a_clock_everything_is_refused():

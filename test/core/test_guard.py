@@ -206,6 +206,24 @@ def test_where_there_is_no_gate_it_recovers_when_it_is_lost():
     assert found[1].belief.mean()[0] == pytest.approx(4.6, abs=0.2)
 
 
+def test_after_a_recovery_rejections_are_counted_from_none():
+    guard = Guard({'place': Gate(1e-3, 2)}, Recovery(DF.gaussian([-5.0], [[0.01]])))
+    belief, watch, recovered = DF.gaussian([5.0], [[0.01]]), tracker_watch(), []
+    for k in range(7):
+        # far from what is believed, and from what is mixed in
+        made = guard.correct(DF, belief, (0.0,), 'place', k, watch)
+        belief, watch = made.belief, made.watch
+        assert made.gated
+        recovered.append(made.recovered)
+    assert recovered == [False, True, False, True, False, True, False]
+
+
+def test_one_rejection_may_be_enough_for_a_recovery():
+    guard = Guard({'place': Gate(1e-3, 1)}, Recovery(DF.uniform()))
+    assert guard.correct(DF, DF.gaussian([-3.0], [[0.1]]), (5.0,), 'place', 0,
+                         tracker_watch()).recovered
+
+
 def test_every_source_has_its_own_count_of_rejections():
     tracker = tracker_of(DF, guard_of(DF))
     for k, (name, y) in enumerate([('place', 5.9), ('square', 0.1), ('place', 5.9),

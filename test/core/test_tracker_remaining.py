@@ -192,6 +192,14 @@ def test_a_new_start_from_before_the_history_or_of_which_nothing_is_known_keeps_
         assert tracker.backlog == 0
 
 
+def test_a_new_start_just_at_the_end_of_the_history_keeps_what_was_measured_since():
+    tracker = Tracker(FILTER, PRIOR, 1.0, hold=HOLD)
+    for second in range(6):
+        tracker.observe(place(second))
+    tracker.reset(PRIOR, 4 * SECOND, 4 * SECOND)
+    assert tracker.backlog == 2
+
+
 def test_what_drove_while_the_first_measurement_was_on_its_way_counts():
     driven = {k * SECOND // 10: (1.0, 0.01 * k) for k in range(31)}
     seen = [place(0), place(1)]
