@@ -76,25 +76,26 @@ def fix(stamp_ns=T, frame=''):
 
 
 def test_a_silent_source_and_a_silent_control_say_what_is_listened_to_and_who_is_there(graph):
-    bare = Bare(graph, YARD)
+    # topics of its own: who has just left another is seen there for a while
+    bare = Bare(graph, {**YARD, 'measurements.main.topic': 'unheard', 'control.topic': 'undriven'})
     bare.at(T + 4 * SECOND)
     found = bare.status()
     assert (found.level, found.message) == (
-        WARN, 'silent for 4.0 s: nothing on /fix (geometry_msgs/msg/PointStamped); nobody '
+        WARN, 'silent for 4.0 s: nothing on /unheard (geometry_msgs/msg/PointStamped); nobody '
         'publishes there')
     assert bare.status('control').message == (
-        'silent for 4.0 s: nothing on /control (geometry_msgs/msg/TwistStamped); nobody '
+        'silent for 4.0 s: nothing on /undriven (geometry_msgs/msg/TwistStamped); nobody '
         'publishes there')
 
 
 def test_who_is_there_is_asked_for_on_the_topic_to_which_a_source_was_remapped(
         graph, stranger):
-    node = graph.filter_node(PLANE, '-r', 'fix:=/seen')
+    node = graph.filter_node(PLANE, '-r', 'fix:=/elsewhere')
     for kind in (Float64, Float64):
-        stranger.create_publisher(kind, '/seen', 1)
-    graph.until(lambda: node.count_publishers('/seen') == 2, 'they are there')
+        stranger.create_publisher(kind, '/elsewhere', 1)
+    graph.until(lambda: node.count_publishers('/elsewhere') == 2, 'they are there')
     assert node.accounts.sources['main'].there() == (
-        'nothing on /seen (geometry_msgs/msg/PointStamped); 2 publishers there, of '
+        'nothing on /elsewhere (geometry_msgs/msg/PointStamped); 2 publishers there, of '
         'std_msgs/msg/Float64')
 
 
