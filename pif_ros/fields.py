@@ -44,7 +44,7 @@ def message_class(name: str) -> Any:
                for folder in folders):
         raise ValueError(f'expected a type of an installed message package, got {name!r}')
     found = getattr(importlib.import_module(f'{package}.msg'), message, None)
-    if found is None or not hasattr(found, 'get_fields_and_field_types'):
+    if not hasattr(found, 'get_fields_and_field_types'):
         raise ValueError(f'expected a message of package {package}, got {name!r}')
     return found
 
@@ -156,7 +156,7 @@ def _covariances(message: Any, steps: Sequence[str | int]) -> Iterator[tuple[str
     """Give the places of the covariances that belong to what lies at the end of some steps."""
     place: tuple[str, ...] = ()
     for step in steps:
-        if isinstance(step, int) or message is None:
+        if isinstance(step, int):
             return
         kinds = message.get_fields_and_field_types()
         there = [name for name, kind in kinds.items()
@@ -259,8 +259,6 @@ def _room(msg: Any, steps: Sequence[str | int]) -> int | None:
         if isinstance(step, int):
             return 1
         found = getattr(found, step)
-    if isinstance(found, (bool, bytes)):
-        raise ValueError(f'expected fields of real or whole numbers, got {list(steps)}')
     return 1 if isinstance(found, (int, float)) else len(found) or None
 
 

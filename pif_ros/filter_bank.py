@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 import functools
 from pathlib import Path
 import re
-import time
 from typing import Any
 
 from pif_ros import parameters
@@ -17,6 +16,7 @@ from pif_ros.core.estimates import Estimate
 from pif_ros.core.filters import NANOSECONDS
 from pif_ros.filter_node import FilterNode, FORECASTS_TAKE
 from pif_ros.inbox import SLICE
+from pif_ros.pace import Rest
 from pif_ros.process import guarded
 from pif_ros.stopwatch import shortest, Stopwatch
 from rcl_interfaces.msg import ParameterDescriptor
@@ -55,12 +55,12 @@ class Target(FilterNode):
 
     def lags(self, estimate: Estimate[Any]) -> int | None:
         """Return the stamp that an estimate is predicted to before it is published, or None."""
-        stamp_ns = estimate.stamp_ns
-        if (stamp_ns is None or stamp_ns >= self._published_ns
-                or self.is_of_another_time(stamp_ns)
-                or self._is_left_to_the_timer(stamp_ns, self._now())):
+        epoch, stamp_ns = self._poses.epoch, estimate.stamp_ns
+        if stamp_ns is None or stamp_ns >= epoch.newest_ns or epoch.is_over(stamp_ns):
             return None
-        return self._published_ns
+        # to ask for the time may show that the clock was set
+        told_ns = epoch.stamp_for(stamp_ns, self.now())
+        return None if told_ns == stamp_ns else told_ns
 
     @guarded
     def correct(self) -> Estimate[Any] | None:
@@ -73,19 +73,15 @@ class Target(FilterNode):
         """Publish what is believed of now."""
         self.tell(self.tracker.forecast(now_ns))
 
-    def now(self) -> int | None:
-        """Return the time in nanoseconds, None before there is a /clock."""
-        return self._now()
-
     def due_ns(self, first_ns: int | None) -> int | None:
         """Return the time to predict to, that of the first target if it is the same, or None."""
-        now_ns = self._now()
+        now_ns = self.now()
         if now_ns is None or first_ns is None:
             return None
         # one of both may have heard of the next tick, or that a simulated clock jumped back
         if abs(first_ns - now_ns) <= self.config.time.max_ahead * NANOSECONDS:
             now_ns = first_ns
-        return now_ns if self.is_due(now_ns) else None
+        return now_ns if self._poses.is_due(now_ns) else None
 
     def _given(self) -> dict[str, Any]:
         return {name: value for name, value in super()._given().items() if name != TARGETS}
@@ -123,7 +119,6 @@ class FilterBank(Node):
         self.faults = 0
         self._watch = Stopwatch()
         self._throttle = Throttle()
-        self._next_forecast: dict[tuple[float, bool], float] = {}
         given, many = parameters.told(self), FilterOfMany()
         names = _targets(given.get(TARGETS))
         self.declare_parameter(TARGETS, names, ParameterDescriptor(
@@ -203,22 +198,19 @@ class FilterBank(Node):
                 if target.inbox.has_work and target.tracker.backlog < before]
 
     @guarded
-    def _on_timer(self, group: tuple[float, bool], targets: Sequence[Target]) -> None:
+    def _on_timer(self, rest: Rest, targets: Sequence[Target]) -> None:
         # each is to see for itself that the clock was set
         first_ns = targets[0].now()
         due = [(target, now_ns) for target in targets
                if (now_ns := target.due_ns(first_ns)) is not None]
-        began, (rate, _) = time.monotonic(), group
-        if began < self._next_forecast.get(group, 0.0):
+        if not rest.is_over:
             for target, _ in due:
                 target.skipped += 1
             return
-        with self._watch.timing('forecast'):
+        with rest.working(), self._watch.timing('forecast'):
             self._foresee((target.tracker, now_ns) for target, now_ns in due)
             for target, now_ns in due:
                 target.forecast(now_ns)
-        took = FORECASTS_TAKE * (time.monotonic() - began)
-        self._next_forecast[group] = began + took if took * rate > 1 else 0.0
 
     def _foresee(self, asked: Iterable[tuple[Member, int | None]]) -> None:
         try:
@@ -246,11 +238,11 @@ class FilterBank(Node):
         for target in self.targets.values():
             simulated = target.get_parameter('use_sim_time').value
             groups.setdefault((target.config.publish.rate, simulated), []).append(target)
-        for group, targets in groups.items():
-            rate, _ = group
+        for (rate, _), targets in groups.items():
             if rate:
+                rest = Rest(FORECASTS_TAKE, 1 / rate)
                 targets[0].create_timer(1 / rate,
-                                        functools.partial(self._on_timer, group, targets),
+                                        functools.partial(self._on_timer, rest, targets),
                                         clock=targets[0].forecast_clock())
 
     def _speed(self) -> list[str]:

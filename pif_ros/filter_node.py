@@ -8,7 +8,7 @@ from typing import Any
 
 from pif_ros import parameters
 from pif_ros.accounts import Accounts, Throttle
-from pif_ros.config import (build_tracker, Config, ConfigError, describe, find_grid, find_system,
+from pif_ros.config import (build_tracker, ConfigError, describe, find_grid, find_system,
                             remarks)
 from pif_ros.core.active import ActiveGridFilter
 from pif_ros.core.continuous import PathBelief
@@ -22,6 +22,8 @@ from pif_ros.keeper import Keeper
 from pif_ros.listener import Listener
 from pif_ros.managed_node import ManagedNode
 from pif_ros.outputs import Outputs
+from pif_ros.pace import Rest
+from pif_ros.poses import Poses
 from pif_ros.process import guarded
 from pif_ros.resuming import Resuming
 from pif_ros.start import Starting
@@ -33,9 +35,8 @@ from rclpy.exceptions import InvalidParameterTypeException, ParameterUninitializ
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
-#: Predicting the pose to now has one in so many parts of the time at most, the rest is for
-#: measurements.
-FORECASTS_TAKE = 4
+#: Predicting the pose to now has this share of the time at most, the rest is for measurements.
+FORECASTS_TAKE = 0.25
 #: Work that takes less than this, in seconds, is done where a message arrives: to wait for its
 #: turn would take as long.
 AT_ONCE = 1e-3
@@ -63,19 +64,13 @@ class FilterNode(ManagedNode):
         self.accounts = Accounts(())
         self.watch = watch or Stopwatch()
         self._why, self._lost = '', False
-        # whether there was something to tell while it was inactive
-        self._is_untold = False
         self._throttle = Throttle()
-        self._next_forecast, self._took = 0.0, math.inf
-        self._since_ns, self._published_ns = 0, -1
+        self._took = math.inf
+        self._since_ns = 0
         self._health: Health
-        self._live = _live(self.config)
+        self._live = parameters.live_at_start(self.config)
         self._time = Timekeeper(self, round(self.config.time.max_ahead * NANOSECONDS),
                                 self._on_clock_set)
-        self._max_gap_ns = round(self.config.time.max_gap * NANOSECONDS)
-        # how far the last pose may be ahead of what is believed, or is of another time
-        self._furthest_ns = self._ahead_ns = max(
-            self._max_gap_ns, round(self.config.time.max_forecast * NANOSECONDS))
         self.add_on_set_parameters_callback(self._on_parameters)
         if self.config.autostart or not managed:
             self.start()
@@ -97,8 +92,8 @@ class FilterNode(ManagedNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen and publish; what was believed is believed still."""
         self._outputs.restart()
-        if self._is_untold:
-            self._is_untold = False
+        if self._poses.is_untold:
+            self._poses.is_untold = False
             self._remind()
         return super().on_activate(state)
 
@@ -122,7 +117,8 @@ class FilterNode(ManagedNode):
         self.get_logger().info(clock.text)
         if not self.is_made or clock.goes_on and not clock.by_ns:
             return
-        self._published_ns, self._since_ns = -1, 0
+        self._poses.epoch.restart()
+        self._since_ns = 0
         if clock.goes_on:
             for failed in self.inbox.settle():
                 self.faults += 1
@@ -173,22 +169,18 @@ class FilterNode(ManagedNode):
 
     @guarded
     def _on_timer(self) -> None:
-        now_ns = self._now()
-        if now_ns is None or not self.is_active or not self.is_due(now_ns):
+        now_ns = self.now()
+        if now_ns is None or not self.is_active or not self._poses.is_due(now_ns):
             return
-        began = time.monotonic()
-        if began < self._next_forecast:
+        if not self._rest.is_over:
             self.skipped += 1
             return
-        with self.watch.timing('forecast'):
+        with self._rest.working(), self.watch.timing('forecast'):
             self.tell(self.tracker.forecast(now_ns))
-        took = FORECASTS_TAKE * (time.monotonic() - began)
-        if took * self.config.publish.rate > 1:
-            self._next_forecast = began + took
 
     @guarded
     def _on_diagnostics(self) -> None:
-        self._now()
+        self.now()
         self._health.tell()
 
     def facts(self) -> Facts:
@@ -202,25 +194,14 @@ class FilterNode(ManagedNode):
                      self.restarts + self.inbox.gaps, self.inbox.last_gap or self._why,
                      self._log_volume, masses, self.is_active, self._keeper.told())
 
-    def is_due(self, now_ns: int) -> bool:
-        """Return whether a pose is to be predicted to now."""
-        newest_ns = self.tracker.stamp_ns
-        if newest_ns is None or self.tracker.backlog:
-            return False
-        if now_ns > newest_ns + self.config.time.max_forecast * NANOSECONDS:
-            age = (now_ns - newest_ns) / NANOSECONDS
-            self.report('stale', f'the newest measurement is {age:.0f} s old, more than '
-                        'time.max_forecast: no pose until the next one')
-            return False
-        return now_ns > self._published_ns
-
     def drain(self) -> None:
         """Put what waits where it belongs, as far as the work can take it."""
         self.inbox.drain()
 
     def _recall(self, memory: Memory[Any], published_ns: int) -> None:
         self._begin_anew('state_file')
-        self._published_ns = max(self._published_ns, published_ns)
+        epoch = self._poses.epoch
+        epoch.newest_ns = max(epoch.newest_ns, published_ns)
         self.inbox.recall(memory)
         self._remind()
 
@@ -229,8 +210,7 @@ class FilterNode(ManagedNode):
         self._resuming.forgo()
         self._begin_anew(why)
         if steered_ns is None:
-            # as where a clock jumps back
-            self._ahead_ns = round(self.config.time.max_ahead * NANOSECONDS)
+            self._poses.epoch.expect_another()
         self.inbox.restart(belief, stamp_ns, steered_ns)
 
     def _remind(self) -> None:
@@ -250,49 +230,17 @@ class FilterNode(ManagedNode):
     @guarded
     def tell(self, estimate: Estimate[Any]) -> None:
         """Publish an estimate, with no older stamp than the last unless it is of another time."""
-        restarts, now_ns = self.restarts, self._now()
-        # to ask for the time may show that the clock was set, and begin anew
-        if not self.is_active:
-            self._is_untold = True
-        if estimate.stamp_ns is None or not self.is_active or self.restarts != restarts:
-            return
-        if self.is_of_another_time(estimate.stamp_ns):
-            by = (self._published_ns - estimate.stamp_ns) / NANOSECONDS
-            self.report('back', f'poses go back by {by:.3f} s: what is believed now is of another '
-                        'time')
-            self._published_ns = -1
-        stamp_ns = max(estimate.stamp_ns, self._published_ns)
-        if estimate.stamp_ns < stamp_ns:
-            if self._is_left_to_the_timer(estimate.stamp_ns, now_ns):
-                return
-            estimate = self.tracker.forecast(stamp_ns)
-        if not estimate.belief.mass > 0:
-            self._on_nothing_left()
-            return
-        self._published_ns, self._ahead_ns = stamp_ns, self._furthest_ns
-        with self.watch.timing('publish'):
-            self._outputs.publish(estimate.belief, stamp_ns)
+        self._poses.tell(estimate)
 
-    def _on_nothing_left(self) -> None:
-        """Begin anew where nothing is believed any more; a forecast alone commits to nothing."""
-        if self.tracker.newest.belief.mass > 0:
-            self.report('forecast', 'all of the belief is predicted to have left the grid: no '
-                        'pose until the next measurement')
-            return
-        text = 'all of the belief has left the grid: back to the prior'
-        self.report('off the grid', text)
+    def give_up(self, why: str) -> None:
+        """Begin anew from the prior, since nothing is believed any more."""
+        self.report('off the grid', why)
         self.inbox.account()
-        self._restart(None, None, text, self.tracker.stamp_ns)
+        self._restart(None, None, why, self.tracker.stamp_ns)
 
-    def is_of_another_time(self, stamp_ns: int) -> bool:
-        """Return whether the last pose is so far ahead that none is predicted to its stamp."""
-        return self._published_ns - stamp_ns > self._ahead_ns
-
-    def _is_left_to_the_timer(self, stamp_ns: int, now_ns: int | None) -> bool:
-        """Return whether an estimate lies so far back that predicting each to now takes long."""
-        rate = self.config.publish.rate
-        return bool(rate and now_ns is not None and now_ns > self._published_ns
-                    and self._published_ns - stamp_ns > NANOSECONDS / rate)
+    def now(self) -> int | None:
+        """Return the time in nanoseconds, None before there is a /clock."""
+        return self._time.now()
 
     def report(self, kind: str, text: str) -> None:
         """Warn of something, at most one line of a kind every few seconds."""
@@ -318,22 +266,26 @@ class FilterNode(ManagedNode):
         filter_ = self.tracker.filter
         self.accounts = Accounts(config.measurements.names, filter_.model.inputs)
         self.inbox = Inbox(self.tracker, self.accounts, config, self.report)
-        self._since_ns, self._published_ns = 0, -1
+        self._since_ns = 0
         self._health = Health(self, config.diagnostics.rate, self.facts, self._on_diagnostics)
         model = find_system(config).model
         grid = find_grid(config, model)
         self._log_volume = math.log(grid.cell_volume) + math.log(grid.size)
         self._outputs = Outputs(self, config, model, grid, self._live)
+        self._poses = Poses(self, config, self.tracker, self._outputs, self.watch)
         self._keeper = Keeper(config, self.tracker, self.report)
+        listener = Listener(self, config, filter_, self.accounts, self.inbox, self._time,
+                            self._refuses, self._on_arrival)
         self._warm_up()
-        Listener(self, config, filter_, self.accounts, self.inbox, self._time, self._refuses,
-                 self._on_arrival)
+        listener.listen()
+        max_gap_ns = round(config.time.max_gap * NANOSECONDS)
         self._starting = Starting(self, self.tracker, self.accounts.initial_pose, self._restart,
-                                  self._outputs.pose_axes, config.frame_id, self._now,
-                                  lambda: self._published_ns - self._max_gap_ns)
+                                  self._outputs.pose_axes, config.frame_id, self.now,
+                                  lambda: self._poses.epoch.newest_ns - max_gap_ns)
         self._let_work()
-        self._resuming = Resuming(self, self._keeper, self._recall, lambda: self._published_ns,
-                                  self._now, config.checkpoint_period)
+        self._resuming = Resuming(self, self._keeper, self._recall,
+                                  lambda: self._poses.epoch.newest_ns, self.now,
+                                  config.checkpoint_period)
 
     def _make_tracker(self) -> Tracker[Any]:
         return build_tracker(self.config)
@@ -364,24 +316,12 @@ class FilterNode(ManagedNode):
         """Let the work be done when there is some."""
         self._wake = self.create_guard_condition(self._work)
         self.tracker.filter = TimedFilter(self.tracker.filter, self.watch)
-        if self.config.publish.rate:
-            self.create_timer(1 / self.config.publish.rate, self._on_timer,
-                              clock=self.forecast_clock())
+        if rate := self.config.publish.rate:
+            self._rest = Rest(FORECASTS_TAKE, 1 / rate)
+            self.create_timer(1 / rate, self._on_timer, clock=self.forecast_clock())
 
     def forecast_clock(self) -> Clock:
         """Return the clock by which poses are predicted to now."""
         # a timer on the system's clock stands still when that clock is set back
         return (self.get_clock() if self._time.is_simulated
                 else Clock(clock_type=ClockType.STEADY_TIME))
-
-    def _now(self) -> int | None:
-        """Return the time in nanoseconds, None before there is a /clock."""
-        return self._time.now()
-
-
-def _live(config: Config) -> dict[str, Any]:
-    """Return the values of the parameters that may change while the node runs."""
-    return {'pose.estimator': config.pose.estimator, 'density.rate': config.density.rate,
-            'modes.rate': config.modes.rate,
-            **{f'measurements.{name}.enabled': source.enabled
-               for name, source in config.measurements.sources.items()}}

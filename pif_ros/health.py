@@ -9,6 +9,7 @@ from typing import Any
 from pif_ros import conversions, interface
 from pif_ros.accounts import Throttle
 from pif_ros.diagnostics import Facts, OK, Status, statuses
+from pif_ros.pace import Rest
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
@@ -31,7 +32,7 @@ class Health:
                  tick: Callable[[], None]) -> None:
         self._node, self._facts, self._level, self._looked = node, facts, OK, 0.0
         self._is_wanted, self._throttle = bool(rate), Throttle(REMIND)
-        self._next_modes = 0.0
+        self._rest = Rest(TAKE)
         self._masses: tuple[float, ...] = ()
         told = interface.DIAGNOSTICS
         self._publisher = node.create_publisher(told.type, told.name, told.qos)
@@ -40,15 +41,15 @@ class Health:
 
     def masses(self, belief: Any, share: float) -> Sequence[float]:
         """Return the masses of a belief's modes; those of before where it is too soon."""
-        began = time.monotonic()
-        if began >= self._next_modes and belief.mass > 0:
-            self._masses = tuple(mode.mass for mode in belief.modes(share))
-            self._next_modes = began + (time.monotonic() - began) / TAKE
+        if self._rest.is_over and belief.mass > 0:
+            with self._rest.working():
+                self._masses = tuple(mode.mass for mode in belief.modes(share))
         return self._masses
 
     def restart(self) -> None:
         """Forget the modes of another belief."""
-        self._next_modes, self._masses = 0.0, ()
+        self._rest.end()
+        self._masses = ()
 
     def tell(self) -> None:
         """Publish how it is, and log what is worth it."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 import functools
+import math
 from typing import Any
 
 from pif_ros import interface
@@ -16,14 +18,17 @@ from pif_ros.process import guarded
 from pif_ros.sources import ControlSource, Inlet, Refused, Source
 from pif_ros.timekeeper import Timekeeper
 
+#: An angle in radians, of either sign and rounded, is no more than this, unless it counts turns.
+TURN = 2 * math.pi * (1 + 1e-6)
+
 
 class Listener:
     """
     The subscriptions of a node to all of its sources, and to the control of a model with inputs.
 
-    refuses: says in a word why a source is not listened to now, '' where it is; arrived: called
-    when something was put into the inbox, with whether nothing waited before.  Raises ConfigError
-    for a topic that cannot be subscribed to.
+    All are checked where this is made, and heard from listen() on.  refuses: says in a word why a
+    source is not listened to now, '' where it is; arrived: called when something was put into the
+    inbox, with whether nothing waited before.  Raises ConfigError for what cannot be listened to.
     """
 
     def __init__(self, node: Any, config: Config, filter_: Filter[Any], accounts: Accounts,
@@ -36,15 +41,33 @@ class Listener:
         self._known = {node.resolve_topic_name(own.name): own.type
                        for own in (*interface.PUBLICATIONS, *interface.SUBSCRIPTIONS)}
         model, ahead = filter_.model, config.time.max_ahead
+        self._inlets: list[Source | ControlSource] = []
         if accounts.control is not None:
             # before the measurements: of what comes together it is the first to be taken
             too_fast = functools.partial(carries_across, model, find_grid(config, model),
                                          seconds=config.kernel.time_step)
-            self._listen(ControlSource(config.control, model.inputs, ahead, too_fast,
-                                       accounts.control))
+            self._inlets.append(ControlSource(config.control, model.inputs, ahead, too_fast,
+                                              accounts.control))
         for name, source in config.measurements.sources.items():
-            self._listen(Source(name, source, filter_.sensors[name], ahead,
-                                accounts.sources[name]))
+            self._inlets.append(Source(name, source, filter_.sensors[name], ahead,
+                                       accounts.sources[name]))
+        for inlet in self._inlets:
+            with _naming_topic(inlet):
+                self._check(inlet)
+
+    def listen(self) -> None:
+        """Subscribe to all of it."""
+        for inlet in self._inlets:
+            with _naming_topic(inlet):
+                self._node.create_subscription(
+                    inlet.type, inlet.topic, functools.partial(self._on_message, inlet),
+                    interface.measurement_qos(self._depth))
+            inlet.account.off = functools.partial(self._refuses, inlet.prefix)
+            inlet.account.there = functools.partial(self._there, inlet)
+            if inlet.covariances and isinstance(inlet, Source):
+                self._node.get_logger().info(
+                    f'{inlet.name}: {", ".join(inlet.covariances)} is checked, not used: what '
+                    f'counts is the noise of its sensor ({inlet.prefix}.params)')
 
     @guarded
     def _on_message(self, inlet: Source | ControlSource, msg: Any,
@@ -64,6 +87,8 @@ class Listener:
             item = inlet.item(msg, now_ns, self._arrival(info))
             if inlet.is_placed and msg.header.frame_id not in self._frames:
                 self._warn_of_frame(inlet, msg.header.frame_id)
+            if any(abs(item.values[i]) > TURN for i in inlet.angles):
+                self._warn_of_turns(inlet, item.values)
         except Refused as refused:
             if now_ns is not None:
                 account.traffic.arrive(now_ns)
@@ -94,25 +119,18 @@ class Listener:
                           f'{self._frames[1]!r}, which is frame_id, got {frame!r}: it is taken as '
                           'it is, since nothing is transformed')
 
-    def _listen(self, inlet: Inlet) -> None:
-        """Subscribe to an inlet, unless its topic is known to be of another type."""
-        try:
-            topic = self._node.resolve_topic_name(inlet.topic)
-            if self._known.setdefault(topic, inlet.type) is not inlet.type:
-                raise ValueError(f'its messages are of type {self._known[topic].__name__}')
-            self._node.create_subscription(
-                inlet.type, inlet.topic, functools.partial(self._on_message, inlet),
-                interface.measurement_qos(self._depth))
-        except Exception as error:  # noqa: B902  rclpy's own have no common base
-            raise ConfigError(f'{inlet.prefix}.topic: expected a topic for messages '
-                              f'of type {inlet.type.__name__}, got {inlet.topic!r} '
-                              f'({str(error).splitlines()[0]})') from None
-        inlet.account.off = functools.partial(self._refuses, inlet.prefix)
-        inlet.account.there = functools.partial(self._there, inlet)
-        if inlet.covariances and isinstance(inlet, Source):
-            self._node.get_logger().info(
-                f'{inlet.name}: {", ".join(inlet.covariances)} is checked, not used: what counts '
-                f'is the noise of its sensor ({inlet.prefix}.params)')
+    def _warn_of_turns(self, inlet: Inlet, values: Sequence[float]) -> None:
+        """Tell once that an angle is beyond a turn, as one in degrees soon is."""
+        angles, inlet.angles = inlet.angles, ()
+        self._node.report(f'{inlet.name}: turns', f'{inlet.name}: expected angles in radians, '
+                          f'within {TURN:.2f} of 0, got {[values[i] for i in angles]}: they count '
+                          'but for whole turns')
+
+    def _check(self, inlet: Inlet) -> None:
+        """Raise ValueError for a topic that is known to be of another type."""
+        topic = self._node.resolve_topic_name(inlet.topic)
+        if self._known.setdefault(topic, inlet.type) is not inlet.type:
+            raise ValueError(f'its messages are of type {self._known[topic].__name__}')
 
     def _there(self, inlet: Inlet) -> str:
         """Say what is listened to, and who publishes there."""
@@ -131,3 +149,14 @@ class Listener:
     def _arrival(self, info: Mapping[str, Any]) -> int | None:
         """Return when a message arrived, None where the node does not live in that time."""
         return None if self._time.is_simulated else info.get('received_timestamp') or None
+
+
+@contextmanager
+def _naming_topic(inlet: Inlet) -> Iterator[None]:
+    """Make of any error a ConfigError that names the topic."""
+    try:
+        yield
+    except Exception as error:  # noqa: B902  rclpy's own have no common base
+        raise ConfigError(f'{inlet.prefix}.topic: expected a topic for messages '
+                          f'of type {inlet.type.__name__}, got {inlet.topic!r} '
+                          f'({str(error).splitlines()[0]})') from None

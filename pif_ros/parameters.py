@@ -58,6 +58,14 @@ def live_values(changes: Sequence[Parameter], sources: Sequence[str]) -> dict[st
             for change in changes if change.name in specs}
 
 
+def live_at_start(config: Config) -> dict[str, Any]:
+    """Return the values by name that live parameters start with."""
+    return {'pose.estimator': config.pose.estimator, 'density.rate': config.density.rate,
+            'modes.rate': config.modes.rate,
+            **{f'measurements.{name}.enabled': source.enabled
+               for name, source in config.measurements.sources.items()}}
+
+
 def _descriptor(spec: Any, live: bool) -> ParameterDescriptor:
     if spec is None:
         return ParameterDescriptor(read_only=True, dynamic_typing=True,

@@ -37,7 +37,8 @@ class Inlet:
 
     prefix: what the names of its parameters begin with; name, what: what its lines speak of;
     off: why its last message was not listened to, '' where it was; is_placed: whether the frame of
-    its messages is still to be looked at; covariances: those that come with what is read.
+    its messages is still to be looked at; angles: those of its numbers that are, as long as none
+    was beyond a turn; covariances: those that come with what is read.
     Raises ConfigError for a type that is not installed or fields that it has not.
     """
 
@@ -60,6 +61,7 @@ class Inlet:
         self.is_stamped = fields.has_header(self.type)
         self.is_placed = self.is_stamped and fields.are_places(config.fields)
         self._beyond = fields.ranger(self.type, config.fields)
+        self.angles: Sequence[int] = ()
         self._newest: int | None = None
         self._is_mixed = False
 
@@ -130,6 +132,7 @@ class Source(Inlet):
             fields.check_count(self.type, config.fields, sensor.size)
         except ValueError as error:
             raise ConfigError(f'{self.prefix}.fields: {error}') from None
+        self.angles = [i for i, angular in enumerate(sensor.angular) if angular]
 
     def item(self, msg: Any, now_ns: int | None, arrived_ns: int | None = None) -> Measurement:
         """Return the measurement in a message; Refused where it is none."""

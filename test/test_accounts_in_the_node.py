@@ -181,11 +181,11 @@ def test_a_clock_that_is_set_during_the_work_moves_no_pose_ahead(graph, monkeypa
     now_ns = node.get_clock().now().nanoseconds
     rig.send('fix', fix(now_ns, *HERE))
     rig.handled(1)
-    graph.until(lambda: node._published_ns > now_ns, 'a forecast')
+    graph.until(lambda: node._poses.epoch.newest_ns > now_ns, 'a forecast')
     estimate = node.tracker.estimate()
     shift[0] = 60 * SECOND
     node.tell(estimate)
-    assert node.restarts == 1 and node._published_ns == -1
+    assert node.restarts == 1 and node._poses.epoch.newest_ns == -1
 
 
 def test_how_long_a_source_is_silent_counts_from_when_the_clock_was_set(graph, monkeypatch):

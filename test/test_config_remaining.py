@@ -143,8 +143,18 @@ def test_a_sensor_that_was_assumed_is_named():
     assert named == 'measurements.main.params.landmark: expected 2 finite numbers, got [1.0]'
 
 
+@pytest.mark.parametrize(('name', 'hint'), [('density.axes', True), ('grid.lower', False)])
+def test_where_yaml_made_a_name_true_that_is_said(name, hint):
+    with pytest.raises(ConfigError, match=f'^{name}: expected') as error:
+        Config.from_parameters({**ROBOT, name: [True, False]})
+    assert ("unless in quotes: 'y'" in str(error.value)) is hint
+
+
 @pytest.mark.parametrize(('name', 'taken', 'refused'), [
-    ('operator.steps', [1, 1000], [0, 1001]), ('publish.rate', [0.0, 1e-3, 1e3], [5e-4, 1000.5]),
+    ('operator.steps', [1, 1000], [0, 1001]), ('time.history', [0.0, 1e9], [-1e-9, 1e9 + 1]),
+    ('filter.seed', [0, 2**63 - 1], [-1]),
+    ('measurements.queue_length', [1, 10**6], [0, 10**6 + 1]),
+    ('publish.rate', [0.0, 1e-3, 1e3], [5e-4, 1000.5]),
     ('checkpoint_period', [0.0, 0.1, 1e9], [0.05, 2e9]),
     ('diagnostics.rate', [0.0, 1e-3, 1e3], [-1.0, 1000.5])])
 def test_what_is_said_of_a_parameter_s_range_holds_to_its_ends(name, taken, refused):

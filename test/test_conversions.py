@@ -243,6 +243,13 @@ def test_the_angles_of_a_quaternion_of_any_length_are_those_of_its_direction(yaw
     assert_allclose(found, (0.0, 0.0, yaw), rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize('sign', [-1, 1])
+def test_who_looks_straight_up_or_down_has_a_pitch_however_that_is_rounded(sign):
+    for a in np.nextafter(0.5**0.5, [0, 1]).tolist() + [0.5**0.5, 0.7071068, 0.70710677]:
+        _, pitch, _ = conversions.angles(Pose(orientation=Quaternion(y=sign * a, w=a)))
+        assert pitch == pytest.approx(sign * math.pi / 2, abs=1e-7)
+
+
 NO_ROTATION = [(0.0, 0.0), (math.nan, 1.0), (math.inf, 0.0)]
 
 

@@ -1,6 +1,7 @@
 """Numbers into messages: what a field_reader reads of them then."""
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
+import numpy as np
 from pif_ros.fields import field_reader, field_writer, message_class
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
@@ -12,6 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
     ('sensor_msgs/msg/JointState', ['position'], (1.5, 2.0)),
     ('sensor_msgs/msg/JointState', ['velocity[0]', 'position'], (9.0, 1.5, 2.0)),
     ('sensor_msgs/msg/LaserScan', ['ranges[2]', 'ranges[0]', 'angle_min'], (1.0, 2.0, 0.5)),
+    ('sensor_msgs/msg/LaserScan', ['ranges', 'angle_min'], (1.0, 2.0, 0.5)),
     ('geometry_msgs/msg/PointStamped', ['point.z', 'point.x'], (3.0, 1.0)),
     ('geometry_msgs/msg/PoseWithCovarianceStamped', ['pose.covariance[7]'], (4.0,)),
     ('geometry_msgs/msg/PoseWithCovarianceStamped', ['pose.pose.position.y', 'pose.covariance'],
@@ -68,3 +70,17 @@ def test_fields_that_cannot_hold_just_so_many_numbers_are_refused(name, fields, 
     with pytest.raises(ValueError, match=f'^expected {wanted}.* got') as refused:
         field_writer(message_class(name), fields, size)
     assert '\n' not in str(refused.value)
+
+
+@pytest.mark.parametrize('kind', [f'{sign}Int{bits}' for sign in ('', 'U')
+                                  for bits in (8, 16, 32, 64)])
+def test_a_whole_number_is_written_up_to_the_ends_of_its_kind(kind):
+    message, ends = message_class(f'std_msgs/msg/{kind}'), np.iinfo(kind.lower())
+    write = field_writer(message, ['data'], 1)
+    for value in (ends.min, ends.max):
+        made = message()
+        write(made, [value])
+        assert made.data == value
+    for value in (ends.min - 1, ends.max + 1):
+        with pytest.raises(ValueError, match='^expected numbers from .* got'):
+            write(message(), [value])

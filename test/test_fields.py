@@ -1,9 +1,9 @@
 """Whether a message says of itself that its numbers are worth nothing."""
 
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
-from pif_ros.fields import doubter
+from pif_ros.fields import check_count, covariances, doubter, ranger
 import pytest
-from sensor_msgs.msg import Imu, JointState, NavSatFix
+from sensor_msgs.msg import Imu, JointState, NavSatFix, Range
 
 POSE = ['pose.pose.position.x', 'pose.pose.position.y']
 
@@ -49,3 +49,41 @@ def test_the_covariance_of_another_part_of_the_message_does_not_matter():
     message = Imu()
     message.orientation_covariance[0] = -1.0
     assert doubter(Imu, ['angular_velocity.z'])(message) == ''
+
+
+def of_another_package(**fields):
+    """Return a class of messages called Range, with some fields."""
+    return type('Range', (), {
+        '__init__': lambda self, **values: self.__dict__.update(values),
+        'get_fields_and_field_types': classmethod(lambda cls: fields)})
+
+
+@pytest.mark.parametrize(('fields', 'told'), [
+    ({'range': 'float'}, False), ({'range': 'float', 'min_range': 'float'}, False),
+    ({'range': 'float', 'min_range': 'float', 'max_range': 'float'}, True)])
+def test_a_range_is_held_to_its_limits_where_it_has_some(fields, told):
+    message = of_another_package(**fields)
+    beyond = ranger(message, ['range'])
+    assert bool(beyond(message(range=9.0, min_range=0.1, max_range=4.0))) is told
+    assert not beyond(message(range=3.0, min_range=0.1, max_range=4.0))
+
+
+@pytest.mark.parametrize(('value', 'is_beyond'), [(0.0, False), (1e9, False), (-1e-9, True)])
+def test_without_limits_a_range_is_not_below_0(value, is_beyond):
+    message = Range(min_range=0.0, max_range=0.0, range=value)
+    assert bool(ranger(Range, ['range'])(message)) is is_beyond
+
+
+@pytest.mark.parametrize('other', [{'weights': 'double[9]'}, {'place_covariance': 'string'}])
+def test_only_numbers_that_are_called_so_are_a_covariance(other):
+    assert covariances(of_another_package(place='double', **other), ['place']) == ()
+
+
+@pytest.mark.parametrize('size', [0, 1, 3, 4])
+def test_a_bounded_array_holds_no_more_than_it_may(size):
+    message = of_another_package(sides='sequence<double, 3>')
+    if size <= 3:
+        check_count(message, ['sides'], size)
+    else:
+        with pytest.raises(ValueError, match='^expected fields that hold 4 numbers, got'):
+            check_count(message, ['sides'], size)

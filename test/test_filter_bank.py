@@ -1,16 +1,20 @@
 """Many targets in one process: each has what a filter node has, and their work is one."""
 
+import functools
 import time
+from types import SimpleNamespace
 
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 import numpy as np
-from pif_ros import interface, timekeeper
+from pif_ros import interface, pace, stopwatch, timekeeper
 from pif_ros.config import build_tracker, Config, ConfigError
 from pif_ros.core.batch import Batch
 from pif_ros.core.estimates import Measurement
 from pif_ros.core.tracker import Tracker
 from pif_ros.diagnostics import timing_status
 from pif_ros.filter_bank import FilterBank
+from pif_ros.filter_node import FORECASTS_TAKE
+from pif_ros.pace import Rest
 import pytest
 from ros import DEEP, nanoseconds, PLANE, SECOND, stamp_into, write_parameters
 from rosgraph_msgs.msg import Clock
@@ -221,7 +225,7 @@ def test_poses_are_predicted_to_now_together_and_corrections_to_what_was_publish
     assert products == []
     # whether the timer fires at this tick or was called for an earlier one, each is told once
     tick(T + 1050 * MS)
-    bank._on_timer((1.0, False), list(bank.targets.values()))
+    bank._on_timer(Rest(FORECASTS_TAKE, 1.0), list(bank.targets.values()))
     wait_for(T + 1050 * MS)
     assert products == [3] * 11
     products.clear()
@@ -344,23 +348,61 @@ def test_a_target_that_is_lost_says_so(graph, make):
     assert True in was_lost and said.count('lost') == 1
 
 
-def test_a_target_tells_how_long_the_work_for_all_takes_and_what_was_skipped(make):
+def test_a_target_tells_how_long_the_work_for_all_takes_and_what_was_skipped(
+        make, monkeypatch):
     bank = make({**PLANE, 'publish.rate': 1000.0}, ['alpha', 'bravo'])
     now_ns = time.time_ns()
     for name in bank.targets:
         measure(bank, name, now_ns, 0.5, -0.5)
     work(bank)
-    foresee, group = bank._foresee, (1000.0, False)
-    bank._foresee = lambda asked: time.sleep(0.005) or foresee(asked)
-    for _ in range(2):
-        # the second is too soon after one that took five of its periods
-        bank._on_timer(group, list(bank.targets.values()))
+    foresee, now = bank._foresee, [100.0]
+    clock = SimpleNamespace(monotonic=lambda: now[0], perf_counter=lambda: now[0])
+    for module in (pace, stopwatch):
+        monkeypatch.setattr(module, 'time', clock)
+
+    def slow(asked):
+        now[0] += 0.005
+        foresee(asked)
+
+    bank._foresee, tick = slow, ticks(bank)[1000.0]
+    for _ in range(4):
+        # those are too soon that come within fifteen ms after one that took five of its periods
+        tick()
+        now[0] += 0.006
+    assert now[0] == pytest.approx(100.034)
     for target in bank.targets.values():
         values = timing_status(target.facts()).values
         assert all(f'{kind}, ms (median, longest)' in values
                    for kind in ('work', 'predict', 'correct', 'forecast', 'publish'))
-        assert values['poses skipped'] == '1'
-        assert float(values['forecast, ms (median, longest)'].split(', ')[1]) >= 5
+        assert values['poses skipped'] == '2'
+        assert values['forecast, ms (median, longest)'] == '5.00, 5.00'
+
+
+def test_targets_of_another_rate_do_not_wait_for_those_that_are_slow(make, monkeypatch):
+    bank = make({**PLANE, 'publish.rate': 10.0}, ['alpha', 'bravo'],
+                own={'bravo': {'publish.rate': 20.0}})
+    now_ns, now = time.time_ns(), [100.0]
+    for name in bank.targets:
+        measure(bank, name, now_ns, 0.5, -0.5)
+    work(bank)
+    monkeypatch.setattr(pace, 'time', SimpleNamespace(monotonic=lambda: now[0]))
+    foresee = bank._foresee
+
+    def slow(asked):
+        now[0] += 0.015
+        foresee(asked)
+
+    bank._foresee, of = slow, ticks(bank)
+    for rate in (10.0, 20.0, 10.0, 20.0, 20.0):
+        # sixty ms of rest are less than a period of the one, and more than one of the other
+        of[rate]()
+    assert [target.skipped for target in bank.targets.values()] == [0, 2]
+
+
+def ticks(bank):
+    """Return what the timers of forecasts call, by their rates in Hz."""
+    return {1e9 / timer.timer_period_ns: timer.callback for target in bank.targets.values()
+            for timer in target.timers if isinstance(timer.callback, functools.partial)}
 
 
 def test_no_target_is_predicted_to_a_clock_that_was_set_before_it_has_seen_that(
@@ -373,7 +415,7 @@ def test_no_target_is_predicted_to_a_clock_that_was_set_before_it_has_seen_that(
     work(bank)
     steady = timekeeper.steady_ns
     monkeypatch.setattr(timekeeper, 'steady_ns', lambda: steady() - 3 * SECOND)
-    bank._on_timer((20.0, False), list(bank.targets.values()))
+    bank._on_timer(Rest(FORECASTS_TAKE, 0.05), list(bank.targets.values()))
     assert [target.restarts for target in bank.targets.values()] == [1, 1]
 
 
@@ -384,15 +426,31 @@ def test_no_target_tells_by_an_older_clock_what_it_found_before_it_was_set(
     now_ns = target.now()
     measure(bank, 'alpha', now_ns - 200 * MS, 0.1, -0.2)
     work(bank)
-    bank._on_timer((20.0, False), [target])
-    assert target._published_ns >= now_ns
+    bank._on_timer(Rest(FORECASTS_TAKE, 0.05), [target])
+    assert target._poses.epoch.newest_ns >= now_ns
     measure(bank, 'alpha', now_ns - 180 * MS, 0.1, -0.2)
     steady = timekeeper.steady_ns
     # as if the system's clock had been set back by an hour
     monkeypatch.setattr(timekeeper, 'steady_ns', lambda: steady() + 3600 * SECOND)
     work(bank)
     assert target.restarts == 1
-    assert target._published_ns <= target.tracker.stamp_ns < now_ns - 3599 * SECOND
+    assert target._poses.epoch.newest_ns <= target.tracker.stamp_ns < now_ns - 3599 * SECOND
+
+
+def test_nothing_is_foreseen_by_a_clock_that_was_set_back(graph, make, products, monkeypatch):
+    bank = make({**PLANE, 'publish.rate': 20.0, 'diagnostics.rate': 0.0}, ['alpha', 'bravo'])
+    now_ns = {name: target.now() for name, target in bank.targets.items()}
+    for ahead in (-200, -180):
+        products.clear()
+        for name in bank.targets:
+            measure(bank, name, now_ns[name] + ahead * MS, 0.1, -0.2)
+        if ahead == -180:
+            steady = timekeeper.steady_ns
+            monkeypatch.setattr(timekeeper, 'steady_ns', lambda: steady() + 600 * SECOND)
+        work(bank)
+    assert [target.restarts for target in bank.targets.values()] == [1, 1]
+    # a step and its rest, and not six thousand of them
+    assert len(products) < 10
 
 
 def test_after_a_gap_a_target_begins_from_the_prior_as_a_node_does(graph, make):

@@ -101,7 +101,7 @@ def test_a_pose_that_was_found_while_it_slept_is_told_when_it_wakes(graph):
 
 def test_the_modes_of_another_belief_are_not_told(graph):
     node = graph.filter_node(PLANE)
-    node._health._masses, node._health._next_modes = (0.5, 0.5), float('inf')
+    node._health._masses, node._health._rest._until = (0.5, 0.5), float('inf')
     node._restart(None, None, 'anew')
     assert node.facts().masses == pytest.approx((1.0,), abs=1e-3)
 

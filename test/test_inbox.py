@@ -4,11 +4,13 @@ import itertools
 from types import SimpleNamespace
 
 import numpy as np
+from pif_ros import inbox
 from pif_ros.accounts import Accounts
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.estimates import CorrectionFailed, Measurement
 from pif_ros.core.filters import DiracFeynmanFilter
 from pif_ros.inbox import Inbox
+from pif_ros.verdicts import ROOM
 import pytest
 
 SECOND = 1_000_000_000
@@ -79,6 +81,8 @@ def test_a_gap_is_told_once_also_where_a_late_measurement_ends_it():
     assert listening.inbox.last_gap == listening.gaps[0] and listening.inbox.gaps == 1
     listening.hear(60)
     assert len(listening.gaps) == 2 and listening.inbox.gaps == 2
+    # of those that no replay can reach nothing is kept
+    assert len(listening.inbox._gaps) == 1
     listening.inbox.restart(None, None)
     assert listening.inbox.last_gap == '' and listening.inbox.gaps == 2
 
@@ -96,10 +100,12 @@ GATED = {'measurements.main.gate.tail_probability': 1e-4, 'model.params.diffusio
          'prior.covariance_diagonal': [0.04, 0.04], 'prior.mean': list(HERE)}
 
 
+@pytest.mark.parametrize('since', [0.5, 0.8])
 @pytest.mark.parametrize('waits', [False, True])
 @pytest.mark.parametrize(('where', 'before', 'after'), [
     (THERE, (1, 0, {'gate': 1}), (2, 0, {})), (HERE, (2, 0, {}), (1, 0, {'gate': 1}))])
-def test_after_a_new_start_what_was_measured_since_is_judged_by_that(waits, where, before, after):
+def test_after_a_new_start_what_was_measured_since_is_judged_by_that(
+        since, waits, where, before, after):
     listening = Listening(**GATED)
     for second, values in ((0, HERE), (0.8, where)):
         listening.put(second, values)
@@ -107,8 +113,11 @@ def test_after_a_new_start_what_was_measured_since_is_judged_by_that(waits, wher
         listening.work()
         assert listening.became == before
     start = listening.tracker.filter.gaussian(THERE, 0.04 * np.eye(2))
-    listening.inbox.restart(start, T + SECOND // 2, T + SECOND // 2)
-    assert listening.became == after and not listening.inbox.has_work
+    since_ns = T + round(since * SECOND)
+    listening.inbox.restart(start, since_ns, since_ns)
+    # of one that the new start forgot before it was worked in there is none
+    assert len(listening.accounts.sources['main'].traffic.log_evidence) == 2 - waits
+    assert listening.became == after and not listening.inbox.wants_a_turn
     assert listening.tracker.newest.stamp_ns == T + round(0.8 * SECOND)
 
 
@@ -165,6 +174,68 @@ def test_a_measurement_that_fails_in_a_replay_ends_no_gap(monkeypatch):
         listening.work()
     listening.hear(20.6)
     assert listening.inbox.gaps == 1 and listening.became[2] == {'fault': 1}
+
+
+def test_what_was_judged_within_the_history_is_judged_anew_however_much_it_is():
+    listening = Listening(**GATED, **{'measurements.main.gate.max_consecutive_rejections': 1000})
+    for k in range(90):
+        listening.put(0.01 * k, THERE)
+        listening.work()
+    assert listening.became == (0, 0, {'gate': 90})
+    start = listening.tracker.filter.gaussian(THERE, 0.04 * np.eye(2))
+    listening.inbox.restart(start, T, T)
+    assert listening.became == (90, 0, {})
+
+
+def test_what_comes_too_late_or_twice_is_told_with_how_much_it_is_behind():
+    listening = Listening()
+    listening.hear(0, 4, 5, 1, 4)
+    assert listening.said == [
+        ('main: too late', 'main: rejected a measurement: too late, 4.000 s behind the newest, '
+         'more than time.history'),
+        ('main: duplicate', 'main: rejected a measurement: duplicate, 1.000 s behind the newest')]
+    assert listening.became == (3, 0, {'too late': 1, 'duplicate': 1})
+
+
+def test_verdicts_of_long_ago_are_not_kept():
+    listening = Listening(**GATED, **{'measurements.main.gate.max_consecutive_rejections': 1000,
+                                      'time.max_gap': 1e6})
+    for k in range(300):
+        listening.put(2 * k, THERE)
+        listening.work()
+    assert listening.became == (0, 0, {'gate': 300})
+    assert len(listening.inbox._verdicts._found) <= ROOM + 1
+
+
+def test_a_long_replay_waits_while_more_comes_but_not_longer_than_its_patience(monkeypatch):
+    listening, milliseconds, now = Listening(), itertools.count(), [0.0]
+    monkeypatch.setattr(inbox, 'time', SimpleNamespace(monotonic=lambda: now[0]))
+
+    def arrive():
+        listening.put(0.001 * next(milliseconds), HERE)
+
+    for began in (50.0, 60.0):
+        for _ in range(inbox.LONG_REPLAY):
+            arrive()
+        made = listening.tracker.kept
+        for waited in (0.0, 0.5, 0.99):
+            now[0] = began + waited * inbox.PATIENCE
+            arrive()
+            assert listening.inbox.work() is None and listening.tracker.kept == made
+        now[0] = began + inbox.PATIENCE
+        arrive()
+        listening.inbox.work()
+        assert listening.tracker.kept > made
+        listening.work()
+
+
+def test_a_long_replay_begins_once_nothing_more_comes():
+    listening = Listening()
+    for k in range(inbox.LONG_REPLAY + 1):
+        listening.put(0.001 * k, HERE)
+    assert listening.inbox.work() is None and listening.tracker.kept == 0
+    listening.inbox.work()
+    assert listening.tracker.kept > 0
 
 
 def raising_at(listening, stamp_ns):

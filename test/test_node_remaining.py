@@ -8,6 +8,8 @@ from pif_ros.config import build_tracker, Config
 from pif_ros.core.estimates import Measurement
 from pif_ros.diagnostics import belief_status
 from pif_ros.filter_bank import FilterBank
+from pif_ros.filter_node import FORECASTS_TAKE
+from pif_ros.pace import Rest
 import pytest
 from rclpy.clock import ClockType
 from rclpy.time import Time
@@ -116,7 +118,7 @@ def test_after_a_reset_no_target_is_predicted_to_what_it_published_long_after(gr
         bank._bank.foresee = lambda pairs: foresee(together.append(p) or p for p in pairs)
         bank._work()
         bank._bank.foresee = foresee
-    assert [target._published_ns for target in targets] == [T, T]
+    assert [target._poses.epoch.newest_ns for target in targets] == [T, T]
     assert asked == [[0], [0]] and {stamp_ns for _, stamp_ns in together} == {T}
 
 
@@ -133,21 +135,13 @@ def test_a_state_of_long_ago_is_published_at_its_stamp(graph, tmp_path):
     assert (poses, lines, asked) == ([T], ['back'], [0])
 
 
-def test_after_a_reset_poses_do_not_go_back_behind_a_forecast(graph):
-    node = graph.filter_node({**PLANE, 'use_sim_time': True, 'time.history': 10.0})
-    answer(node._starting._on_reset)
-    poses, lines = told(node)
-    put(node, T, HERE)
-    work(node)
-    node.tell(node.tracker.forecast(T + 5 * SECOND))
-    put(node, T + 100 * MS, HERE)
-    work(node)
-    assert (poses, lines) == ([T, T + 5 * SECOND, T + 5 * SECOND], [])
-
-
-def test_a_pose_goes_not_back_where_it_is_predicted_further_than_a_gap(graph):
-    node = graph.filter_node({**PLANE, 'use_sim_time': True, 'time.max_gap': 1.0,
-                              'time.max_forecast': 5.0, 'time.history': 10.0})
+@pytest.mark.parametrize('times, is_reset', [({}, True), (
+    {'time.max_gap': 1.0, 'time.max_forecast': 5.0}, False)],
+    ids=['after a reset', 'of longer forecasts than gaps'])
+def test_no_pose_goes_back_behind_a_forecast(graph, times, is_reset):
+    node = graph.filter_node({**PLANE, 'use_sim_time': True, 'time.history': 10.0, **times})
+    if is_reset:
+        answer(node._starting._on_reset)
     poses, lines = told(node)
     put(node, T, HERE)
     work(node)
@@ -185,8 +179,8 @@ def test_a_target_is_predicted_to_the_time_that_it_has_heard_itself(graph, tmp_p
             Time(nanoseconds=now_ns, clock_type=ClockType.ROS_TIME))
         put(target, now_ns - 50 * MS, HERE)
     bank._work()
-    bank._on_timer((10.0, True), targets)
-    assert tuple(target._published_ns for target in targets) == hours
+    bank._on_timer(Rest(FORECASTS_TAKE, 0.1), targets)
+    assert tuple(target._poses.epoch.newest_ns for target in targets) == hours
 
 
 def test_a_target_that_is_not_watched_says_so(graph, tmp_path):

@@ -1,7 +1,7 @@
 """How often what is costly goes out."""
 
 from pif_ros import pace
-from pif_ros.pace import Pace
+from pif_ros.pace import Pace, Rest
 import pytest
 
 SECOND = 1_000_000_000
@@ -60,3 +60,18 @@ def test_after_a_restart_the_next_goes_out_at_once(wall):
     assert not every.is_due(SECOND)
     every.restart()
     assert every.is_due(SECOND)
+
+
+@pytest.mark.parametrize(('took', 'waited', 'is_over'), [
+    # what is followed by work after a second anyway needs no rest of less
+    (0.2, 0.0, True), (0.3, 0.89, False), (0.3, 0.91, True), (2.0, 5.9, False), (2.0, 6.1, True)])
+def test_work_rests_until_it_has_its_share_unless_it_comes_seldom_enough(
+        wall, took, waited, is_over):
+    rest = Rest(0.25, 1.0)
+    assert rest.is_over
+    with rest.working():
+        wall.now += took
+    wall.now += waited
+    assert rest.is_over is is_over
+    rest.end()
+    assert rest.is_over

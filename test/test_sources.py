@@ -104,6 +104,7 @@ def test_a_value_that_is_not_finite_is_refused_and_shown(value):
 @pytest.mark.parametrize('stamp_ns', [0, -1, -5_000_000_000])
 def test_a_stamp_that_is_none_is_refused(stamp_ns):
     assert reason(joints(1.0, 2.0, stamp_ns=stamp_ns))[0] == 'no stamp'
+    assert JOINTS.item(joints(1.0, 2.0, stamp_ns=1), NOW).stamp_ns == 1
 
 
 def test_a_stamp_may_be_ahead_of_the_clock_by_so_much_and_no_more():
@@ -117,6 +118,20 @@ def test_a_stamp_may_be_ahead_of_the_clock_by_so_much_and_no_more():
 
 def test_before_there_is_a_clock_everything_is_refused():
     assert reason(joints(1.0, 2.0), now=None)[0] == 'no clock'
+
+
+@pytest.mark.parametrize(('numbers', 'publishers', 'lost'), [
+    # who is there is asked only where something is missing
+    ((5, 6, 7), (None, None, None), (0, 0, 0)), ((5, 9, 10), (None, 1, None), (0, 3, 0)),
+    ((5, None, 9), (None, None, None), (0, 0, 0)),
+    # another one with the same count, or a smaller one, has left before it was heard
+    ((5, 5, 6, 9), (None, 1, 1, 1), (0, 0, 0, 2)), ((5, 2, 3, 9), (None, 1, 1, 1), (0, 0, 0, 5)),
+    # as long as there are two nothing can be said
+    ((5, 9, 12, 20), (None, 2, 1, 1), (0, 0, 0, 7))])
+def test_what_is_missing_in_a_publisher_s_count_was_lost(numbers, publishers, lost):
+    heard = source('sensor_msgs/msg/JointState', 'position')
+    assert tuple(heard.lost(number, {None: None, 1: lambda: 1, 2: lambda: 2}[there])
+                 for number, there in zip(numbers, publishers)) == lost
 
 
 def test_a_type_that_is_not_installed_is_blamed_on_the_type():

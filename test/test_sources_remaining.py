@@ -2,10 +2,12 @@
 
 import math
 import re
+import time
 
 from geometry_msgs.msg import PointStamped, Twist
 import numpy as np
-from pif_ros.config import ControlConfig, SourceConfig
+from pif_ros.config import ConfigError, ControlConfig, SourceConfig
+from pif_ros.core import filters
 from pif_ros.core.models import Sensor
 from pif_ros.diagnostics import ERROR, OK, statuses, WARN
 from pif_ros.sources import ControlSource, Refused, Source
@@ -18,7 +20,7 @@ from rclpy.parameter import Parameter
 from rclpy.time import Time
 from ros import PLANE, SECOND, stamp_into
 from sensor_msgs.msg import JointState, LaserScan
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 
 T = 1_000 * SECOND
 INFO = {'publication_sequence_number': None}
@@ -88,14 +90,16 @@ def test_a_silent_source_and_a_silent_control_say_what_is_listened_to_and_who_is
         'publishes there')
 
 
+@pytest.mark.parametrize(('count', 'who'), [(1, '1 publisher'), (2, '2 publishers')])
 def test_who_is_there_is_asked_for_on_the_topic_to_which_a_source_was_remapped(
-        graph, stranger):
-    node = graph.filter_node(PLANE, '-r', 'fix:=/elsewhere')
-    for kind in (Float64, Float64):
-        stranger.create_publisher(kind, '/elsewhere', 1)
-    graph.until(lambda: node.count_publishers('/elsewhere') == 2, 'they are there')
+        graph, stranger, count, who):
+    topic = f'/elsewhere_{count}'
+    node = graph.filter_node(PLANE, '-r', f'fix:={topic}')
+    for _ in range(count):
+        stranger.create_publisher(Float64, topic, 1)
+    graph.until(lambda: node.count_publishers(topic) == count, 'they are there')
     assert node.accounts.sources['main'].there() == (
-        'nothing on /elsewhere (geometry_msgs/msg/PointStamped); 2 publishers there, of '
+        f'nothing on {topic} (geometry_msgs/msg/PointStamped); {who} there, of '
         'std_msgs/msg/Float64')
 
 
@@ -120,7 +124,10 @@ def test_who_is_there_is_not_asked_while_a_source_is_heard(graph):
 def test_a_source_that_is_switched_off_may_be_silent_and_is_told_of_once(graph):
     bare = Bare(graph)
     bare.switch(False)
-    bare.hear('fix', *map(fix, (T, T + 1, T + 2)))
+    for k in range(3):
+        bare.at(T + 2 * k * SECOND)
+        bare.hear('fix', fix(T + k))
+    assert bare.status().values['rate'] == '0.5 Hz'
     bare.at(T + 20 * SECOND)
     assert (bare.status().level, bare.status().message) == (
         OK, 'disabled: 3 received, 0 accepted, 3 rejected (3 disabled), 0 dropped')
@@ -154,6 +161,29 @@ def test_the_frame_of_what_is_no_place_is_nobodys_business(graph):
     assert bare.said == [] and bare.node.inbox.has_work
 
 
+@pytest.mark.parametrize(('sensor', 'angles', 'warnings'), [
+    ('heading', (-2 * math.pi, 3.2, float(np.float32(2 * math.pi))), 0),
+    ('heading', (3.2, 90.0, -180.0), 1), ('heading', (-6.3, 90.0), 1),
+    # a distance may be anything
+    ('range', (3.0, 90.0), 0)])
+def test_an_angle_of_more_than_a_turn_is_taken_and_warned_of_once(
+        graph, sensor, angles, warnings):
+    bare = Bare(graph, {
+        **YARD, 'measurements.main.sensor': sensor, 'measurements.main.fields': ['position'],
+        'measurements.main.type': 'sensor_msgs/msg/JointState', 'filter.type': 'ekf',
+        **({'measurements.main.params.landmark': [1.0, 2.0]} if sensor == 'range' else {})})
+    for k, angle in enumerate(angles):
+        message = JointState(position=[angle])
+        stamp_into(message.header.stamp, T + k)
+        bare.hear('fix', message)
+    assert len(bare.said) == warnings
+    assert all('radians' in line and re.search(r'got \[(90.0|-6.3)\]', line)
+               for line in bare.said)
+    bare.node.drain()
+    account = bare.node.accounts.sources['main']
+    assert (account.accepted, account.rejected.total()) == (len(angles), 0)
+
+
 @pytest.mark.parametrize(('kind', 'path', 'words'), [
     ('PointStamped', 'point', []),
     ('PoseWithCovarianceStamped', 'pose.pose.position', ['main: pose.covariance is checked'])])
@@ -161,7 +191,7 @@ def test_a_covariance_that_comes_with_a_measurement_is_said_not_to_be_used(
         graph, capfd, kind, path, words):
     graph.filter_node({**PLANE, 'measurements.main.type': f'geometry_msgs/msg/{kind}',
                        'measurements.main.fields': [f'{path}.x', f'{path}.y']})
-    assert re.findall(r'main: \S+ is checked(?=, not used)', capfd.readouterr().err) == words
+    assert re.findall(r'main: .* is checked(?=, not used)', capfd.readouterr().err) == words
 
 
 def scan_of(values, low=0.1, high=30.0):
@@ -198,6 +228,22 @@ def test_beams_without_a_return_are_no_fault_of_the_scanner(graph):
     assert bare.status().level == ERROR
 
 
+@pytest.mark.parametrize(('wrong', 'line'), [
+    ({'type': 'geometry_msgs/msg/Pointed'}, 'measurements.main.type: '),
+    ({'fields': ['point.x', 'point.w']}, 'measurements.main.fields: '),
+    ({'topic': 'no name'}, 'measurements.main.topic: '),
+    ({'topic': 'initialpose'}, 'measurements.main.topic: '),
+    ({}, 'ArithmeticError: a kernel')], ids=str)
+def test_a_source_that_cannot_be_is_refused_before_a_kernel_is_made(
+        graph, monkeypatch, wrong, line):
+    def kernel(*given):
+        raise ArithmeticError('a kernel')
+
+    monkeypatch.setattr(filters, 'step_kernel', kernel)
+    with pytest.raises(ConfigError, match=f'^{line}'):
+        graph.filter_node({**PLANE, **{f'measurements.main.{k}': v for k, v in wrong.items()}})
+
+
 def test_an_array_that_is_too_short_is_told_with_the_path_and_its_length():
     with pytest.raises(Refused, match=r'^expected ranges\[500\], got an array that is too short: '
                                       'it has 360$') as refused:
@@ -218,6 +264,17 @@ def test_of_unstamped_controls_within_one_tick_of_a_clock_the_last_one_holds(gra
     assert bare.node.accounts.control.accepted == 4
     # without a control the mean of a robot that only diffuses stays where it is
     assert still == pytest.approx(bare.node.tracker.newest.belief.mean(), abs=1e-3)
+
+
+def test_what_has_no_stamp_holds_when_it_arrived_however_long_it_waited(graph):
+    node = graph.filter_node({**PLANE, 'measurements.main.type': 'std_msgs/msg/Float64MultiArray',
+                              'measurements.main.fields': []})
+    [heard] = [s for s in node.subscriptions if s.topic_name == '/fix']
+    arrived_ns = time.time_ns() - SECOND
+    heard.callback(Float64MultiArray(data=[0.1, 0.2]),
+                   {**INFO, 'received_timestamp': arrived_ns})
+    node.drain()
+    assert [m.stamp_ns for m in node.tracker.memory().measurements] == [arrived_ns]
 
 
 def test_unstamped_controls_at_times_of_their_own_keep_them():

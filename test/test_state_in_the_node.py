@@ -56,7 +56,7 @@ def live(rig, events):
         stamp_ns, heard = T + ms * MS, len(rig.poses)
         if kind == 'tick':
             # a forecast is due however long the last one took on a busy machine
-            rig.node._next_forecast = 0.0
+            rig.node._rest.end()
             rig.tick(stamp_ns)
             if rig.node.tracker.stamp_ns is not None:
                 rig.pose_at(stamp_ns)

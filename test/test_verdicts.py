@@ -8,8 +8,9 @@ from pif_ros.accounts import Accounts
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.estimates import Correction, CorrectionFailed, Measurement
 from pif_ros.inbox import Inbox
-from pif_ros.verdicts import ROOM, Verdicts
+from pif_ros.verdicts import ROOM, surprise, Verdicts
 import pytest
+from scipy import stats
 
 SECOND = 1_000_000_000
 CONFIG = Config.from_parameters({
@@ -51,6 +52,16 @@ def check_sums(inbox, sources):
         for account in sources.values())
     for account in sources.values():
         assert account.accepted >= 0 and min(account.rejected.values(), default=0) >= 0
+
+
+@pytest.mark.parametrize('deviations', [0.0, 0.5, 3.0, 12.0])
+def test_surprise_is_in_standard_deviations_of_a_gaussian(deviations):
+    measurement = Measurement(0, 'near', (0.0,))
+    log_peak = stats.norm(2.0, 0.3).logpdf(2.0)
+    log_evidence = stats.norm(2.0, 0.3).logpdf(2.0 + 0.3 * deviations)
+    assert surprise(Correction(measurement, log_evidence, log_peak)) == pytest.approx(deviations)
+    # what is more likely than it can be, by rounding, surprises nobody
+    assert surprise(Correction(measurement, log_peak + 1e-9, log_peak)) == 0
 
 
 MEASUREMENTS = st.lists(

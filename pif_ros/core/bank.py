@@ -28,7 +28,9 @@ class Member(Tracker[Any]):
     def next_ns(self) -> int | None:
         """Return the stamp to predict to for what waits next, None for nothing or after a gap."""
         place = len(self._posteriors)
-        return self._timeline[place].stamp_ns if self.backlog and not self._gap_ns(place) else None
+        if not self.backlog or self._timeline.gap_ns(place):
+            return None
+        return self._timeline.measurements[place].stamp_ns
 
     def leg(self, stamp_ns: int) -> tuple[Any, Span] | None:
         """

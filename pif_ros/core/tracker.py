@@ -19,6 +19,7 @@ from pif_ros.core.estimates import (Correction, CorrectionFailed, Estimate, Meas
 from pif_ros.core.filters import Belief, Filter, NANOSECONDS
 from pif_ros.core.guard import Guard
 from pif_ros.core.steering import Steering
+from pif_ros.core.timeline import Timeline
 
 
 class Tracker(Generic[Belief]):
@@ -47,11 +48,13 @@ class Tracker(Generic[Belief]):
         self.filter = filter_
         self.prior = prior
         self.guard = guard
-        self._history_ns = round(history * NANOSECONDS)
-        self._hold_ns = round(hold * NANOSECONDS)
-        self._max_gap_ns = round(max_gap * NANOSECONDS) if max_gap < math.inf else math.inf
         self._memory = memory
-        self._steering = Steering(filter_.model.inputs, self._hold_ns)
+        self._timeline = Timeline(
+            round(history * NANOSECONDS),
+            round(max_gap * NANOSECONDS) if max_gap < math.inf else math.inf,
+            Estimate(None, prior))
+        self._steering = Steering(
+            filter_.model.inputs, round(hold * NANOSECONDS), self._timeline)
         self.reset()
 
     def reset(self, belief: Belief | None = None, stamp_ns: int | None = None,
@@ -64,14 +67,13 @@ class Tracker(Generic[Belief]):
         history, it is not known any more.
         """
         kept: list[Measurement] = []
-        if steered_ns is None or steered_ns < self._oldest_ns():
+        if steered_ns is None or steered_ns < self._steering.oldest_ns:
             self._steering.replace(())
         else:
             self._steering.replace(self._steering.since(steered_ns))
-            kept = [m for m in self._timeline if stamp_ns is not None and m.stamp_ns >= stamp_ns]
-        self._anchor = Estimate(stamp_ns, self.prior if belief is None else belief)
-        self._anchored: Measurement | None = None
-        self._timeline: list[Measurement] = kept
+            kept = [] if stamp_ns is None else self._timeline.since(stamp_ns)
+        self._timeline.start(
+            Estimate(stamp_ns, self.prior if belief is None else belief), measurements=kept)
         self._posteriors: list[Estimate[Belief]] = []
         self.corrections: list[Correction] = []
         # what was predicted where the newest corrections were made, whose watch is to come
@@ -93,7 +95,8 @@ class Tracker(Generic[Belief]):
             newest, steered = self.newest, self._steering.taken
             self.reset(belief)
             if newest.stamp_ns is not None:
-                self._anchor = replace(newest, stamp_ns=newest.stamp_ns + by_ns, belief=belief)
+                self._timeline.start(
+                    replace(newest, stamp_ns=newest.stamp_ns + by_ns, belief=belief))
             self._steering.replace((stamp_ns + by_ns, value) for stamp_ns, value in steered)
 
     def memory(self) -> Memory[Belief]:
@@ -103,7 +106,8 @@ class Tracker(Generic[Belief]):
         Where a sensor raises in the watch, that is left to the next look().
         """
         self._watch()
-        return Memory(self._anchor, self._anchored, tuple(self._timeline), self._steering.taken)
+        line = self._timeline
+        return Memory(line.anchor, line.anchored, tuple(line.measurements), self._steering.taken)
 
     def recall(self, memory: Memory[Belief]) -> None:
         """
@@ -112,14 +116,13 @@ class Tracker(Generic[Belief]):
         The corrections after the anchor are a backlog, which the next estimate makes anew.
         """
         self.reset()
-        self._anchor, self._anchored = memory.anchor, memory.anchored
-        self._timeline = list(memory.measurements)
+        self._timeline.start(memory.anchor, memory.anchored, memory.measurements)
         self._steering.replace(memory.controls)
 
     @property
     def stamp_ns(self) -> int | None:
         """Return the newest stamp of a measurement, None before there is one."""
-        return self._timeline[-1].stamp_ns if self._timeline else self._anchor.stamp_ns
+        return self._timeline.stamp_ns
 
     @property
     def kept(self) -> int:
@@ -129,31 +132,23 @@ class Tracker(Generic[Belief]):
     @property
     def nbytes(self) -> int:
         """Return the memory that the beliefs take, in bytes."""
-        return sum(each.belief.nbytes for each in (self._anchor, *self._posteriors))
+        return sum(each.belief.nbytes for each in (self._timeline.anchor, *self._posteriors))
 
     @property
     def newest(self) -> Estimate[Belief]:
         """Return what was believed after the newest of the corrections that were made."""
-        return self._posteriors[-1] if self._posteriors else self._anchor
+        return self._posteriors[-1] if self._posteriors else self._timeline.anchor
 
     @property
     def backlog(self) -> int:
         """Return how many corrections the next estimate has to make."""
-        return len(self._timeline) - len(self._posteriors)
+        return len(self._timeline.measurements) - len(self._posteriors)
 
     def observe(self, measurement: Measurement) -> Rejection | None:
         """Put a measurement where it belongs; the work is done when an estimate is asked for."""
-        stamp = measurement.stamp_ns
-        if self._anchor.stamp_ns is not None and stamp < self._anchor.stamp_ns:
-            return Rejection.TOO_LATE
-        if self._anchored is not None and measurement <= self._anchored:
-            return Rejection.TOO_LATE
-        if self._timeline and stamp < self._timeline[-1].stamp_ns - self._history_ns:
-            return Rejection.TOO_LATE
-        place = bisect.bisect_left(self._timeline, measurement)
-        if self._timeline[place:place + 1] == [measurement]:
-            return Rejection.DUPLICATE
-        self._timeline.insert(place, measurement)
+        place = self._timeline.put(measurement)
+        if isinstance(place, Rejection):
+            return place
         self._undo(place)
         return None
 
@@ -166,14 +161,14 @@ class Tracker(Generic[Belief]):
         before that, and it may still hold then.  Raises ValueError where the values are not one
         for each input of the model.
         """
-        rejection = self._steering.put(stamp_ns, values, self._earliest_control_ns())
+        rejection = self._steering.put(stamp_ns, values)
         if rejection is not None:
             return rejection
         # a posterior at the stamp itself was not moved by what holds from there on
         self._undo(bisect.bisect_right(
             self._posteriors, stamp_ns, key=lambda e: e.stamp_ns or 0))
         self._cut_rung(stamp_ns)
-        self._forget_controls()
+        self._steering.forget()
         return None
 
     def estimate(self, at_most: int | None = None, look: bool = True) -> Estimate[Belief]:
@@ -185,9 +180,9 @@ class Tracker(Generic[Belief]):
         corrections.  Raises CorrectionFailed for a measurement at which the model or the sensor
         raised; it is not remembered.
         """
-        done = len(self._posteriors)
+        done, taken = len(self._posteriors), self._timeline.measurements
         self.corrections = []
-        for measurement in self._timeline[done:None if at_most is None else done + at_most]:
+        for measurement in taken[done:None if at_most is None else done + at_most]:
             later = not look and self.guard.only_watches(measurement.source)
             if not later:
                 self.look()
@@ -201,7 +196,7 @@ class Tracker(Generic[Belief]):
                 log_peak = self.filter.log_peak(
                     predicted, measurement.source, measurement.stamp_ns)
             except Exception as error:  # noqa: B902  models and sensors are others' code
-                del self._timeline[len(self._posteriors)]
+                del taken[place]
                 raise CorrectionFailed(measurement) from error
             # what no state allows, or is gated, is not believed, and says nothing of what is
             used = made.log_evidence > -math.inf and not made.gated
@@ -213,7 +208,8 @@ class Tracker(Generic[Belief]):
                 before.total_log_evidence + (made.log_evidence if used else 0.0),
                 before.watch if later else made.watch))
             self.corrections.append(Correction(measurement, made.log_evidence, log_peak, made.tail,
-                                               made.gated, made.recovered, self._gap_ns(place)))
+                                               made.gated, made.recovered,
+                                               self._timeline.gap_ns(place)))
         newest = self.newest
         self._forget()
         return newest
@@ -252,15 +248,9 @@ class Tracker(Generic[Belief]):
 
     def _before(self, place: int) -> Estimate[Belief]:
         """Return what a place in the timeline goes on from: after a gap that is the prior."""
-        if self._gap_ns(place):
+        if self._timeline.gap_ns(place):
             return Estimate(None, self.prior)
-        return self._posteriors[place - 1] if place else self._anchor
-
-    def _gap_ns(self, place: int) -> int:
-        """Return the length of a gap before a place in the timeline that ends what was known."""
-        before_ns = self._timeline[place - 1].stamp_ns if place else self._anchor.stamp_ns
-        gap_ns = 0 if before_ns is None else self._timeline[place].stamp_ns - before_ns
-        return gap_ns if gap_ns > self._max_gap_ns else 0
+        return self._posteriors[place - 1] if place else self._timeline.anchor
 
     def _carried(self, before: Estimate[Belief], stamp_ns: int) -> Belief:
         """
@@ -299,58 +289,18 @@ class Tracker(Generic[Belief]):
             if (before.stamp_ns or 0) + steps * self.filter.time_step_ns > stamp_ns:
                 self._rung = None
 
-    def _oldest_ns(self) -> float:
-        """Return how far back the history reaches, as far as it is kept."""
-        newest_ns = self._timeline[-1].stamp_ns if self._timeline else self._steering.newest_ns
-        oldest_ns = -math.inf if newest_ns is None else newest_ns - self._history_ns
-        start_ns = None if self._anchored is None else self._anchor.stamp_ns
-        return oldest_ns if start_ns is None else max(oldest_ns, start_ns)
-
-    def _earliest_control_ns(self) -> float:
-        """Return the stamp before which a control is too late."""
-        start, oldest = self._anchor.stamp_ns, self._oldest_ns()
-        if self._is_cut_off(oldest):
-            return oldest - self._hold_ns
-        if self._anchored is None and not (self._timeline and self._timeline[0].stamp_ns < oldest):
-            return (oldest if start is None else start) - self._hold_ns
-        return max(oldest if self._timeline else -math.inf, -math.inf if start is None else start)
-
-    def _is_cut_off(self, oldest_ns: float) -> bool:
-        """Return whether a gap reaches into the history, so that nothing late can bridge it."""
-        last_ns = self._anchor.stamp_ns
-        if not self._timeline or last_ns is not None and oldest_ns - last_ns <= self._max_gap_ns:
-            return False
-        place = bisect.bisect_left(self._timeline, oldest_ns, key=lambda m: m.stamp_ns)
-        last_ns = self._timeline[place - 1].stamp_ns if place else last_ns
-        return last_ns is not None and oldest_ns - last_ns > self._max_gap_ns
-
-    def _forget_controls(self) -> None:
-        """Let go of controls that nothing is predicted with any more."""
-        start, oldest = self._anchor.stamp_ns, self._oldest_ns()
-        first = self._timeline[0].stamp_ns if self._timeline else math.inf
-        if start is None and not self._timeline:
-            # the first measurement may be on its way for longer than the history
-            self._steering.make_room()
-        elif start is None or first >= oldest and self._is_cut_off(oldest):
-            self._steering.forget_before(min(oldest, first))
-        else:
-            # a path goes on from its last point, and not from one that was rejected since
-            path_ns = getattr(self._anchor.belief, 'stamp_ns', None)
-            self._steering.forget_before(start if path_ns is None else min(start, path_ns))
-
     def _forget(self) -> None:
         """Let go of what lies beyond the history; the last belief before it stays as anchor."""
-        if not self._timeline:
+        if not self._timeline.measurements:
             return
-        oldest = self._timeline[-1].stamp_ns - self._history_ns
-        count = bisect.bisect_left(self._timeline, oldest, key=lambda m: m.stamp_ns)
-        count = min(max(count, self._beyond_memory()), len(self._posteriors))
+        count = max(self._timeline.beyond_history(), self._beyond_memory())
+        count = min(count, len(self._posteriors))
         if count > len(self._posteriors) - len(self._unwatched):
             self.look()
         if count > 0:
-            self._anchor, self._anchored = self._posteriors[count - 1], self._timeline[count - 1]
-            del self._timeline[:count], self._posteriors[:count]
-        self._forget_controls()
+            self._timeline.advance(count, self._posteriors[count - 1])
+            del self._posteriors[:count]
+        self._steering.forget()
 
     def _beyond_memory(self) -> int:
         """Return how many of the oldest posteriors there is no memory for."""

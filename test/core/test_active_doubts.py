@@ -116,6 +116,18 @@ def test_a_rate_that_hides_at_the_stamps_is_seen():
     assert one.mean() == pytest.approx(many.mean(), abs=1e-3)
 
 
+@pytest.mark.parametrize('noise', [0.0, 0.1])
+def test_a_drift_that_would_take_for_ever_is_refused_with_how_stiff_it_is(noise):
+    world, model = Grid((0.0,), (4.0,), (400,)), StateModel(
+        ('x',), lambda x, t: x**-3, [[noise]], drift_jacobian=lambda x, t: -3 * x[None]**-4)
+    filter_ = ActiveGridFilter(model, world, {}, 0.1)
+    # in the first cell, at 0.005, in the step of 0.1 s
+    with pytest.raises(ValueError, match='^drift: .* at most 50000 times in a step of 0.1 s, got '
+                                         f'{0.3 * 0.005**-4:.2g} times'.replace('+', r'\+')):
+        filter_.predict(filter_.uniform(), 0, SECOND)
+    assert filter_.predict(filter_.gaussian([2.0], [[0.01]]), 0, SECOND).mean()[0] > 2
+
+
 def test_noise_much_wider_than_the_world_is_cut_to_it():
     world = Grid((-5, -5), (5, 5), (100, 100))
     patch = Patch(Window(world, (0, 0), (40, 40), (20, 20)), np.ones((20, 20)))

@@ -325,6 +325,14 @@ def test_where_all_has_left_the_grid_nothing_is_made_of_what_may_be_clutter():
     assert open_.log_evidence == -np.inf and gated.gated and gated.tail == 1e-4
 
 
+@pytest.mark.parametrize('o', [0.0, 0.05, 0.4])
+def test_as_rare_as_a_measurement_is_all_of_the_clutter_too(o):
+    expected = DF.predictive(DF.gaussian([0.0], [[0.3]]), 'place', 0)
+    for y in (0.0, 1.5, 3.0):
+        assert Gate(outlier_probability=o, clutter=CLUTTER).tail(expected, [y]) == pytest.approx(
+            1 - (1 - o) * (1 - expected.tail([y])), rel=1e-12)
+
+
 def test_clutter_is_a_density_on_lines_and_circles():
     both = Sensor(lambda x, t: np.stack([x[0], x[0] / 10]), np.diag([0.25, 0.01]),
                   angular=(False, True))
@@ -350,8 +358,9 @@ def test_refuses_what_makes_no_gate(fields, name):
 def test_refuses_a_gate_that_nothing_opens_again_and_a_share_that_is_none():
     with pytest.raises(ValueError, match='^recovery: expected '):
         Guard({'place': Gate(0.01)})
-    with pytest.raises(ValueError, match='^share: expected .*, got 0$'):
-        Recovery(DF.uniform(), 0)
+    for share in (0, 1):
+        with pytest.raises(ValueError, match=f'^share: expected .*, got {share}$'):
+            Recovery(DF.uniform(), share)
 
 
 def test_nobody_looks_before_he_is_asked_to_however_much_is_forgotten(monkeypatch):

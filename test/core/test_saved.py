@@ -7,7 +7,7 @@ import numpy as np
 from pif_ros.config import build_tracker, Config
 from pif_ros.core.bank import Member
 from pif_ros.core.belief import GridBelief
-from pif_ros.core.estimates import Measurement, Rejection
+from pif_ros.core.estimates import Estimate, Measurement, Memory, Rejection
 from pif_ros.core.saved import arrays_of, forms_of, memory_from
 from pif_ros.core.tracker import Tracker
 import pytest
@@ -238,7 +238,8 @@ def test_a_member_of_a_bank_goes_on_and_keeps_nothing_foreseen():
 
 def test_more_than_is_kept_of_anything_is_not_saved():
     tracker = Tracker(made('df').filter, made('df').prior, history=1e9)
-    tracker._timeline = [Measurement(k, 'main', (0.0, 0.0)) for k in range(1_000_001)]
+    tracker.recall(Memory(Estimate(None, tracker.prior), measurements=tuple(
+        Measurement(k, 'main', (0.0, 0.0)) for k in range(1_000_001))))
     with pytest.raises(ValueError, match='^measurements.stamps_ns: expected .*0 to 1000000'):
         arrays_of(tracker)
 

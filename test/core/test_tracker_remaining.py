@@ -286,3 +286,44 @@ def test_a_measurement_of_many_numbers_is_remembered_as_any_other():
     assert all(forms[name].allows(array.dtype, array.shape) for name, array in arrays.items())
     other.recall(memory_from(other, arrays))
     np.testing.assert_array_equal(other.estimate().belief.density, first.newest.belief.density)
+
+
+@pytest.mark.parametrize(('room', 'kept'), [(0, 1), (1, 1), (2.5, 2), (3, 3), (5, 5), (9, 6)])
+def test_as_many_beliefs_are_kept_as_there_is_memory_for_and_the_newest(room, kept):
+    tracker = Tracker(FILTER, PRIOR, 10.0, memory=room * PRIOR.nbytes)
+    for second in range(6):
+        tracker.observe(place(second))
+        tracker.estimate()
+    assert tracker.kept == kept
+    # who is kept is corrected anew by what comes late, and nobody else is
+    for late in range(5):
+        rejected = tracker.observe(place(late + 0.5))
+        assert (rejected is None) is (late + 0.5 > 5 - kept)
+
+
+def test_a_measurement_that_nothing_allows_counts_for_no_evidence():
+    total = []
+    for seconds in ((0, 1, 2), (0, 2)):
+        tracker = Tracker(LINE, LINE.gaussian([0.5], [[0.4]]), 10.0)
+        for second in seconds:
+            # of which the square is infinite
+            y = 1e200 if second == 1 else 0.3
+            tracker.observe(Measurement(second * SECOND, 'place', (y,)))
+        total.append(tracker.estimate().total_log_evidence)
+    assert total[0] == pytest.approx(total[1]) and math.isfinite(total[0])
+
+
+@pytest.mark.parametrize('nothing', ['history', 'memory', 'hold', 'max_gap'])
+def test_of_all_that_a_tracker_is_given_there_may_be_none(nothing):
+    tracker = Tracker(FILTER, PRIOR, **{nothing: 0})
+    tracker.observe(place(1))
+    assert tracker.estimate().stamp_ns == SECOND
+
+
+def test_there_is_one_zero_of_controls_whichever_comes_first():
+    for first, second in ((0.0, -0.0), (-0.0, 0.0)):
+        tracker = Tracker(FILTER, PRIOR)
+        assert tracker.control(SECOND, (first, 1.0)) is None
+        assert tracker.control(SECOND, (second, 1.0)) is Rejection.DUPLICATE
+        [(_, (value, _))] = tracker.memory().controls
+        assert math.copysign(1.0, value) == 1.0

@@ -11,16 +11,17 @@ from pif_ros.core.active.belief import ActiveBelief, Patch, seen_cells
 from pif_ros.core.active.compiled import warm_up
 from pif_ros.core.active.flow import flow, parting_rate
 from pif_ros.core.active.focus import fitted, focused, loosened
+from pif_ros.core.active.measured import corrected
 from pif_ros.core.active.parting import MOST, moved_on_finer, parting
+from pif_ros.core.active.priors import around, is_gaussian
 from pif_ros.core.active.regions import thick
 from pif_ros.core.active.settings import RegionSettings
 from pif_ros.core.active.transport import Mask, Moves, Noise, SPREAD
-from pif_ros.core.active.window import RolledGrid, Window, wrapped
+from pif_ros.core.active.window import Window, wrapped
 from pif_ros.core.belief import GridBelief
 from pif_ros.core.controls import Controls, NANOSECONDS, NO_CONTROLS
 from pif_ros.core.grid import Grid
 from pif_ros.core.kernels.directions import integer_directions
-from pif_ros.core.likelihood import GridLikelihood
 from pif_ros.core.models import Sensor, StateModel
 from pif_ros.core.predictive import Predictive
 
@@ -29,15 +30,13 @@ Array = NDArray[np.float64]
 #: By what share of a cell neighbouring cells may part or meet in a step that has noise: half of it
 #: comes before and half after the drift, which is of second order in this.
 PARTED = 0.5
+#: How often they may in any step: the many short ones that it is cut into would take for ever.
+STIFFEST = 5e4
 #: A patch whose neighbours part so many times less than those of another takes steps of its own:
 #: in too short ones thin noise is widened by the lattice.
 ALIKE = 8
 #: Cells along an axis that correlated noise goes at once, at most.
 LONGEST = 32
-#: A product below this share of the largest likelihood may have lost digits to underflow.
-UNSAFE = 1e-200
-#: Within how many standard deviations a Gaussian prior is kept.
-AROUND = 6.0
 #: Times of a period, or of a day, at which noise that is a function of time is looked at.
 LOOKS, WHILE = 7, (0.0, 1.0, 10.0, 100.0, 1e3, 1e4, 86400.0)
 
@@ -78,13 +77,13 @@ class ActiveGridFilter:
     def cells_of(self, mean: ArrayLike, covariance: ArrayLike) -> int:
         """Return how many cells a Gaussian density is made on, 0 where there is none."""
         mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
-        return (_around(self.grid, mean, covariance, self.region).size
-                if _is_gaussian(self.grid, mean, covariance) else 0)
+        return (around(self.grid, mean, covariance, self.region).size
+                if is_gaussian(self.grid, mean, covariance) else 0)
 
     def gaussian(self, mean: ArrayLike, covariance: ArrayLike) -> ActiveBelief:
         """Return a Gaussian density, cut at the edges of the world."""
         mean, covariance = np.asarray(mean, dtype=float), np.asarray(covariance, dtype=float)
-        window = _around(self.grid, mean, covariance, self.region)
+        window = around(self.grid, mean, covariance, self.region)
         # a window may begin below the upper edge of a circle, and go on beyond it
         low, turn = np.array(window.grid.lower), np.subtract(self.grid.upper, self.grid.lower)
         if mean.shape == low.shape:
@@ -103,7 +102,7 @@ class ActiveGridFilter:
         Return the density carried from one stamp to a later one.
 
         Whole steps are counted from from_ns; a remainder is a shorter step.  Raises ValueError
-        where to_ns lies before from_ns.
+        where to_ns lies before from_ns, and for a drift that is too stiff to be followed.
         """
         if to_ns < from_ns:
             raise ValueError(f'to_ns: expected a stamp from {from_ns} on, got {to_ns}')
@@ -121,15 +120,16 @@ class ActiveGridFilter:
         anew.  The evidence counts what has left the world as lost.  Where no cell of the belief
         allows the measurement at all, the belief stays as it is and the evidence is -inf.
         """
-        y, t, prior = np.asarray(y, dtype=float), at_ns / NANOSECONDS, belief
-        posterior, log_evidence = self._corrected(prior, y, sensor, t)
+        measured = (np.asarray(y, dtype=float), self.sensors[sensor], at_ns / NANOSECONDS,
+                    self.average_cells)
+        prior, (posterior, log_evidence) = belief, corrected(belief, *measured)
         if log_evidence == -np.inf:
             return belief, log_evidence
         for _ in range(self.region.finest):
             finer = focused(prior, posterior, self.region)
             if finer is None:
                 break
-            anew, log_anew = self._corrected(finer, y, sensor, t)
+            anew, log_anew = corrected(finer, *measured)
             if log_anew == -np.inf:
                 # what wide cells allowed is seen between the centres of finer ones
                 break
@@ -180,6 +180,10 @@ class ActiveGridFilter:
         noise = self._noise(from_ns, to_ns)
         thin = all(_is_thin(*noise(patch.window)) for patch in belief.patches)
         seconds, rate = (to_ns - from_ns) / NANOSECONDS, max(rates, default=0.0)
+        if seconds * rate > STIFFEST:
+            raise ValueError(f'drift: expected neighbouring cells to part at most {STIFFEST:g} '
+                             f'times in a step of {seconds:g} s, got {seconds * rate:.2g} times: '
+                             'take a shorter step, or a world without such places')
         counts = [1 if thin else max(1, int(np.ceil(seconds * each / PARTED))) for each in rates]
         count = max(counts, default=1)
         slow = [ALIKE * each < count for each in counts]
@@ -239,49 +243,6 @@ class ActiveGridFilter:
             return cells
         return moves
 
-    def _corrected(self, belief: ActiveBelief, y: Array, sensor: str,
-                   t: float) -> tuple[ActiveBelief, float]:
-        """Return p(y | x) p(x) / p(y) cell by cell, and log p(y)  [Sensors, Eq. 27]."""
-        log_l = [self._log_likelihood(patch, y, sensor, t) for patch in belief.patches]
-        p = [patch.density for patch in belief.patches]
-        joint, peak = _product(p, log_l)
-        if peak == -np.inf:
-            return belief, -np.inf
-        evidence = sum(float(q.sum() * patch.window.spacing.prod())
-                       for q, patch in zip(joint, belief.patches))
-        patches = tuple(Patch(patch.window, q / evidence)
-                        for q, patch in zip(joint, belief.patches))
-        return ActiveBelief(belief.base, patches), peak + float(np.log(evidence))
-
-    @np.errstate(all='ignore')
-    def _log_likelihood(self, patch: Patch, y: Array, sensor: str, t: float) -> Array:
-        """Return log p(y | x), a shape that broadcasts to the patch's; -inf where undefined."""
-        seen, grid, p = self.sensors[sensor].states, patch.window.grid, patch.density
-        unseen = tuple(i for i in range(grid.ndim) if seen is not None and i not in seen)
-        if unseen:
-            # two cells stand for all of an axis that the sensor does not see
-            shape = tuple(2 if i in unseen else count for i, count in enumerate(grid.shape))
-            grid = Grid(grid.lower, grid.upper, shape, grid.periodic)
-            p = np.broadcast_to(p.max(axis=unseen, keepdims=True), shape)
-        grid = RolledGrid.of(grid, self.grid)
-        likelihood = GridLikelihood(grid, self.sensors[sensor], self.average_cells, once=True)
-        log_l = likelihood.log(y, p.ravel(), t).reshape(grid.shape)
-        one = tuple(slice(0, 1) if i in unseen else slice(None) for i in range(grid.ndim))
-        return np.where(np.isnan(log_l[one]), -np.inf, log_l[one])
-
-
-@np.errstate(all='ignore')
-def _product(p: Sequence[Array], log_l: Sequence[Array]) -> tuple[list[Array], float]:
-    """Return p exp(log_l - peak), and the peak; with logs of p too where it would underflow."""
-    peak = max((float(part.max()) for part in log_l), default=-np.inf)
-    if np.isfinite(peak):
-        joint = [density * np.exp(part - peak) for density, part in zip(p, log_l)]
-        if sum(float(q.sum()) for q in joint) > UNSAFE:
-            return joint, peak
-    log_joint = [np.log(density) + part for density, part in zip(p, log_l)]
-    peak = max((float(part.max()) for part in log_joint), default=-np.inf)
-    return [np.exp(part - peak) for part in log_joint], peak
-
 
 def unsuited(model: StateModel) -> str:
     """Return why a model cannot be kept where it is alone, '' where it can."""
@@ -321,40 +282,6 @@ def _joined(belief: ActiveBelief, chosen: Sequence[bool],
 def _is_thin(variance: Array, across: Sequence[tuple[float, tuple[int, ...]]]) -> bool:
     """Return whether the noise of a step is less than what sharing a place spreads."""
     return bool(np.all(variance <= SPREAD)) and all(strength <= SPREAD for strength, _ in across)
-
-
-def _is_gaussian(grid: Grid, mean: Array, covariance: Array) -> bool:
-    """Return whether a mean on the grid and a covariance make a Gaussian."""
-    return bool(mean.shape == (grid.ndim,) and covariance.shape == (grid.ndim, grid.ndim)
-                and np.all(np.isfinite(mean)) and np.all(grid.contains(mean))
-                and np.all(np.isfinite(covariance))
-                and np.all(np.linalg.eigvalsh(covariance) > 0))
-
-
-def _around(grid: Grid, mean: Array, covariance: Array, region: RegionSettings) -> Window:
-    """Return cells that hold a Gaussian, and are as fine as it needs; all where it is none."""
-    if not _is_gaussian(grid, mean, covariance):
-        return Window.whole(grid)
-    # the width given all other states, as features are measured
-    narrow = 1 / np.sqrt(np.diag(np.linalg.inv(covariance)))
-    level = np.clip(np.ceil(np.log2(region.resolution * grid.spacing / narrow)), 0, region.finest)
-    while True:
-        window = _box_around(grid, mean, np.sqrt(np.diag(covariance)), level.astype(int))
-        if window.size <= grid.size or not level.any():
-            return window
-        level[np.argmax(level)] -= 1
-
-
-def _box_around(grid: Grid, mean: Array, spread: Array, level: NDArray[np.int64]) -> Window:
-    """Return the cells of a level within some standard deviations of a point."""
-    width, shape = grid.spacing / np.exp2(level), np.array(grid.shape) << level
-    reach = AROUND * spread + 2 * width
-    first = np.floor((mean - reach - grid.lower) / width)
-    last = np.ceil((mean + reach - grid.lower) / width)
-    circle = np.array(grid.periodic)
-    first = np.where(circle, first, np.clip(first, 0, shape - 2))
-    last = np.where(circle, last, np.clip(last, first + 2, shape))
-    return Window.of(grid, level, first, last - first)
 
 
 def _in_the_world(patch: Patch) -> Patch | None:
