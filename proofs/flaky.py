@@ -26,8 +26,10 @@ def run(share: float = 1.0) -> list[str]:
         for done, each in enumerate(as_completed(runs)):
             status, told = each.result()
             last = told.strip().splitlines()[-1]
-            failed += [told[-4000:]] if status else []
             progress.show((done + 1) / times)
+            if status:
+                failed += [told[-4000:]]
+                print(failed[-1], file=sys.stderr, flush=True)
     lines = [f'{len(files)} files, {times} times in {time.monotonic() - began:.0f} s, '
              f'{len(failed)} failed; the last: {last}', *failed]
     assert not failed, '\n'.join(lines)
