@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 from pif_ros.process import (asks_for_help, explain, failed, logs_to_stdout, Signals,
-                             strangers, usage)
+                             strangers, take_down, usage)
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -67,9 +67,7 @@ def run(name: str, make: Callable[[Sequence[str]], Sequence[Any]],
     except Exception as error:  # noqa: B902  a model can raise here too
         first.report('fault', f'finish: {type(error).__name__}: {error}')
     first.get_logger().info(f'stopped; {first.accounts}')
-    executor.shutdown()
-    for node in nodes:
-        node.destroy_node()
+    take_down(executor)
     rclpy.try_shutdown()
     return 0
 

@@ -46,6 +46,14 @@ def logs_to_stdout() -> None:
     os.environ.setdefault('RCUTILS_LOGGING_BUFFERED_STREAM', '0')
 
 
+def take_down(executor: Any) -> None:
+    """End who runs callbacks, and then its nodes; their context is to be shut down after that."""
+    nodes = executor.get_nodes()
+    executor.shutdown()
+    for node in nodes:
+        node.destroy_node()
+
+
 def guarded(callback: Callable[..., Any]) -> Callable[..., Any]:
     """
     Keep a node alive whatever one of its callbacks meets.

@@ -8,7 +8,7 @@ import dataclasses
 import sys
 from typing import Any, NoReturn
 
-from pif_ros.process import explain, failed, logs_to_stdout, Signals, strangers
+from pif_ros.process import explain, failed, logs_to_stdout, Signals, strangers, take_down
 
 _NAME = 'simulate'
 
@@ -30,11 +30,11 @@ def main(args: Sequence[str] | None = None) -> int:
         return failed(_NAME, str(error), 2)
     except Exception as error:  # noqa: B902  RCLError has no public name
         return failed(_NAME, explain(error, arguments), 2)
+    executor = SingleThreadedExecutor()
     try:
         node = Simulator(given)
         if not node.told and (line := strangers(arguments, node.get_fully_qualified_name())):
             raise ValueError(line)
-        executor = SingleThreadedExecutor()
         executor.add_node(node)
         node.play(lambda timeout: executor.spin_once(timeout_sec=timeout), stopped)
     except TimeoutError as error:
@@ -42,6 +42,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except ValueError as error:
         return failed(_NAME, str(error), 2)
     finally:
+        take_down(executor)
         rclpy.try_shutdown()
     return 0
 

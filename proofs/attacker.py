@@ -79,9 +79,8 @@ class Attacker:
     def _measure_until_heard(self) -> None:
         """Send the same measurement until its density comes: DDS may still make the way back."""
         message = self._fix()
-        while not self.densities:
-            self.senders['fix'].publish(message)
-            self.spin(0.1)
+        self.graph.until(lambda: self.densities or self.senders['fix'].publish(message),
+                         'the first density')
         self.twin.observe(Measurement(self.stamp_ns, 'main', tuple(message.position)))
         self.check_belief()
 

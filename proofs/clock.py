@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 import os
 from pathlib import Path
+import signal
 import tempfile
 import time
 
@@ -41,7 +42,7 @@ def run(share: float = 1.0) -> list[str]:
               executable(folder, '--params-file', str(path)) as node):
             node.until(node.runs, 'it runs')
             lines = list(_steps(graph, node, folder, steps))
-            node.process.terminate()
+            node.signal(signal.SIGTERM)
             status, *_ = node.end()
             assert (status, node.stderr) == (0, ''), node.stderr
             told = [line for line in node.stdout.splitlines() if 'was set by' in line]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import as_completed, ThreadPoolExecutor
 import os
+import re
 import subprocess
 import sys
 import time
@@ -13,12 +14,16 @@ from benchmarks.progress import Progress
 from proofs import ROOT
 
 TIMES = 100
+#: What a test imports that speaks ROS.
+SPEAKS = re.compile('^from (ros|follower) import', re.MULTILINE)
+#: Seconds after which a run is taken to hang; a test that does says before where each thread is.
+LIMIT = 1800.0
 
 
 def run(share: float = 1.0) -> list[str]:
     """Run them so often, each time in another domain, as many at a time as there are cores."""
-    files = [str(file.relative_to(ROOT)) for file in sorted((ROOT / 'test').glob('test_*.py'))
-             if 'from ros import' in file.read_text(encoding='utf-8')]
+    files = [str(file.relative_to(ROOT)) for file in sorted((ROOT / 'test').rglob('test_*.py'))
+             if SPEAKS.search(file.read_text(encoding='utf-8'))]
     times, progress = max(round(share * TIMES), 1), Progress('flaky')
     began, failed, last = time.monotonic(), [], ''
     with ThreadPoolExecutor(os.cpu_count()) as together:
@@ -39,7 +44,8 @@ def run(share: float = 1.0) -> list[str]:
 def _run(files: Sequence[str], number: int) -> tuple[int, str]:
     """Run them once, and return the status and what was told."""
     done = subprocess.run(
-        [sys.executable, '-m', 'pytest', '-q', '-p', 'no:cacheprovider', *files], cwd=ROOT,
+        ['timeout', str(LIMIT), sys.executable, '-m', 'pytest', '-q', '-p', 'no:cacheprovider',
+         *files], cwd=ROOT,
         env={**os.environ, 'ROS_DOMAIN_ID': str(1 + (os.getpid() + number) % 101)},
-        capture_output=True, text=True)
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     return done.returncode, done.stdout

@@ -60,7 +60,7 @@ def _overloaded(factor: float, lasts: float) -> str:
                 sent, answers = _feed(graph, sender, client, lasts)
                 # of what still waits in DDS a node takes one message a turn
                 time.sleep(1.0 + 2 * QUEUE * seconds)
-                node.process.send_signal(signal.SIGTERM)
+                node.signal(signal.SIGTERM)
                 status, *_ = node.end()
                 last = node.stdout.splitlines()[-1]
         finally:

@@ -68,7 +68,7 @@ def _ended(node: Executable, kind: str, early: bool, rng: np.random.Generator,
         _measure(sender, float(rng.uniform(0.0, WHILE_RUNNING)))
     began, busy = time.monotonic(), _processor_time(node)
     for number in KINDS[kind]:
-        node.process.send_signal(number)
+        node.signal(number)
         time.sleep(float(rng.uniform(0.0, 0.01)))
     status, _, busy_at_end = node.end()
     took = time.monotonic() - began, busy_at_end - busy + WAIT

@@ -101,7 +101,7 @@ def _soaked(graph: Graph, node: Executable, empty: Executable, lasts: float) -> 
         graph.executor.spin_once(timeout_sec=max(min(left, 0.01), 0.0))
     progress.show(1.0)
     account = _ended(node)
-    empty.process.send_signal(signal.SIGTERM)
+    empty.signal(signal.SIGTERM)
     empty.end()
     return _judged(watches, memory, densities, sent, account, lasts)
 
@@ -132,7 +132,7 @@ def _judged(watches: dict[str, Watch], memory: list[float], densities: list[floa
 
 def _ended(node: Executable) -> dict[str, int]:
     """End the node, and return what it says became of the measurements."""
-    node.process.send_signal(signal.SIGTERM)
+    node.signal(signal.SIGTERM)
     status, *_ = node.end()
     last = node.stdout.splitlines()[-1]
     assert (status, node.stderr) == (0, ''), f'status {status}: {node.stderr}'

@@ -98,10 +98,16 @@ class Graph:
 
     def filter_node_of(self, path: Path, *arguments: str) -> FilterNode:
         """Return a filter node with a parameter file and further ROS arguments."""
-        try:
+        with self.refusals():
             return self.add(FilterNode(
                 context=self.context, use_global_arguments=False,
                 cli_args=['--ros-args', '--params-file', str(path), *arguments]))
+
+    @contextmanager
+    def refusals(self) -> Iterator[None]:
+        """Let a node be made that may refuse to be, which leaves more to take down."""
+        try:
+            yield
         except Exception:
             self._refused = True
             raise
@@ -220,8 +226,8 @@ class Executable:
         self._out, self._err = folder / 'stdout', folder / 'stderr'
         with self._out.open('wb') as out, self._err.open('wb') as err:
             self.process = subprocess.Popen(
-                [sys.executable, '-m', module, '--ros-args', *arguments], cwd=ROOT,
-                stdout=out, stderr=err)
+                [sys.executable, '-X', 'faulthandler', '-m', module, '--ros-args', *arguments],
+                cwd=ROOT, stdout=out, stderr=err)
 
     @property
     def stdout(self) -> str:
@@ -238,7 +244,7 @@ class Executable:
         deadline = time.monotonic() + PATIENCE
         while not happened():
             assert self.process.poll() is None, f'it ended before {what}: {self.stderr}'
-            assert time.monotonic() < deadline, f'{what} did not happen: {self.stderr}'
+            assert time.monotonic() < deadline, f'{what} did not happen: {self._stuck()}'
             time.sleep(0.005)
 
     def handles_signals(self) -> bool:
@@ -252,28 +258,48 @@ class Executable:
         """Return whether the node has said that it is made."""
         return 'made in' in self.stdout
 
-    def end(self) -> tuple[int, float, float]:
-        """Wait for the end: status, seconds of wall time and of processor time since the start."""
+    def signal(self, number: signal.Signals) -> None:
+        """Send it a signal; where it has ended by itself, end() still tells how."""
+        os.kill(self.process.pid, number)
+
+    def end(self, meanwhile: Callable[[], Any] = lambda: time.sleep(0.005),
+            ) -> tuple[int, float, float]:
+        """
+        Wait for the end: status, seconds of wall time and of processor time since the start.
+
+        Meanwhile, something is done over and over.
+        """
         deadline = time.monotonic() + PATIENCE
         while True:
             pid, status, usage = os.wait4(self.process.pid, os.WNOHANG)
             if pid:
                 break
-            assert time.monotonic() < deadline, f'it does not end: {self.stdout}{self.stderr}'
-            time.sleep(0.005)
+            assert time.monotonic() < deadline, f'it does not end: {self.stdout}{self._stuck()}'
+            meanwhile()
         self.process.returncode = os.waitstatus_to_exitcode(status)
         return (self.process.returncode, time.monotonic() - self.began,
                 usage.ru_utime + usage.ru_stime)
+
+    def _stuck(self) -> str:
+        """End it for good, and return what it complained of and where each of its threads was."""
+        self.signal(signal.SIGABRT)
+        self.process.wait()
+        return self.stderr
 
 
 @contextmanager
 def executable(folder: Path, *arguments: str,
                module: str = 'pif_ros.node') -> Iterator[Executable]:
-    """Run the executable for as long as it is needed, and never longer."""
+    """
+    Run the executable for as long as it is needed, and never longer.
+
+    It is told to end: over memory that Fast DDS shares with one that is killed, the next may not
+    be heard soon.
+    """
     running = Executable(folder, *arguments, module=module)
     try:
         yield running
     finally:
-        if running.process.returncode is None:
-            running.process.kill()
-            running.process.wait()
+        if running.process.poll() is None:
+            running.signal(signal.SIGTERM)
+            running.end()

@@ -84,10 +84,8 @@ def test_two_processes_share_the_targets_by_their_namespaces_and_end_cleanly(gra
                     'the processes meet')
         for name, tracker in trackers.items():
             # the first ones may be lost while DDS still makes the way back
-            while not poses[name]:
-                measure(name, T * SECOND, [0.1, 0.2])
-                for _ in range(5):
-                    graph.executor.spin_once(timeout_sec=0.02)
+            graph.until(lambda: poses[name] or measure(name, T * SECOND, [0.1, 0.2]),
+                        'the first pose')
             tracker.observe(Measurement(T * SECOND, 'main', (0.1, 0.2)))
         for step in range(1, 5):
             stamp_ns = T * SECOND + step * SECOND // 8
@@ -101,7 +99,7 @@ def test_two_processes_share_the_targets_by_their_namespaces_and_end_cleanly(gra
                 # another process, perhaps with other threads in its sums
                 assert [at.x, at.y] == pytest.approx(list(mean), abs=1e-12)
         for bank, targets in zip(banks, PROCESSES.values()):
-            bank.process.send_signal(signal.SIGINT)
+            bank.signal(signal.SIGINT)
             status, *_ = bank.end()
             assert (status, bank.stderr) == (0, '')
             last = bank.stdout.splitlines()[-1]

@@ -79,7 +79,7 @@ def test_a_running_node_ends_cleanly_within_two_seconds_of_a_signal(tmp_path, si
         node.until(node.runs, 'it runs')
         since = time.monotonic()
         for number in signals:
-            node.process.send_signal(number)
+            node.signal(number)
             # as far apart as a launch and its terminal send theirs
             time.sleep(0.005)
         check_a_clean_end(node, since, 2.0)
@@ -97,7 +97,7 @@ def test_a_node_that_is_told_to_end_while_it_starts_ends_cleanly(
         threading.Event().wait(part * start_time)
         since = time.monotonic()
         for number in signals:
-            node.process.send_signal(number)
+            node.signal(number)
         # it may finish what it began, and no more
         check_a_clean_end(node, since, 2.0 + 4 * start_time)
 
@@ -112,7 +112,7 @@ def start_time(tmp_path_factory):
         began = time.monotonic()
         node.until(node.runs, 'it runs')
         took = time.monotonic() - began
-        node.process.send_signal(signal.SIGINT)
+        node.signal(signal.SIGINT)
         assert node.end()[0] == 0
     return took
 
@@ -154,10 +154,7 @@ def test_measurements_of_another_process_become_poses_whatever_that_process_asks
         first = 1_000 * SECOND
         message = JointState(position=[0.1, 0.2])
         message.header.stamp.sec = 1_000
-        while not other.poses:
-            other.sender.publish(message)
-            for _ in range(5):
-                graph.executor.spin_once(timeout_sec=0.02)
+        graph.until(lambda: other.poses or other.sender.publish(message), 'the first pose')
         tracker.observe(Measurement(first, 'main', (0.1, 0.2)))
         for step in range(1, 10):
             stamp_ns, values = first + step * SECOND // 8, (0.1 * step, -0.05 * step)
@@ -181,7 +178,7 @@ def test_measurements_of_another_process_become_poses_whatever_that_process_asks
         assert other.measure(first + 3 * SECOND, 0.5, -0.5)
 
         since = time.monotonic()
-        node.process.send_signal(signal.SIGINT)
+        node.signal(signal.SIGINT)
         check_a_clean_end(node, since, 2.0)
     words = node.stdout.splitlines()[-1]
     assert ' 11 accepted, ' in words and ' 0 dropped' in words

@@ -41,8 +41,9 @@ def make(graph, tmp_path):
                 targets, str) else list(targets)}}
         path = tmp_path / 'bank.yaml'
         path.write_text(yaml.safe_dump(tree), encoding='utf-8')
-        bank = FilterBank(context=graph.context, use_global_arguments=False,
-                          cli_args=['--ros-args', '--params-file', str(path), *arguments])
+        with graph.refusals():
+            bank = FilterBank(context=graph.context, use_global_arguments=False,
+                              cli_args=['--ros-args', '--params-file', str(path), *arguments])
         for node in bank.nodes:
             graph.add(node)
         return bank
@@ -315,7 +316,6 @@ def test_targets_that_are_no_names_are_refused_in_one_line(make, targets, got):
 ], ids=lambda value: next(iter(value)) if isinstance(value, dict) else '')
 def test_what_makes_no_filter_on_the_kernel_of_all_is_refused_by_target_and_name(
         make, graph, told, line):
-    graph._refused = True
     with pytest.raises(ConfigError) as error:
         make(own={'charlie': told})
     assert str(error.value).startswith('/charlie/filter_node: ')
@@ -325,10 +325,9 @@ def test_what_makes_no_filter_on_the_kernel_of_all_is_refused_by_target_and_name
 def test_what_is_meant_for_the_targets_is_refused_where_only_the_bank_is_told(
         graph, tmp_path):
     path = write_parameters(tmp_path / 'bank.yaml', {**PLANE, 'targets': ['alpha']}, 'filter_bank')
-    graph._refused = True
     with pytest.raises(ConfigError, match='^grid.lower: expected among the parameters of /\\*\\* '
                        'or of a target such as /alpha/filter_node, got it among those of '
-                       '/filter_bank$'):
+                       '/filter_bank$'), graph.refusals():
         FilterBank(context=graph.context, use_global_arguments=False,
                    cli_args=['--ros-args', '--params-file', str(path)])
 

@@ -1,8 +1,9 @@
 """The simulator, heard over DDS."""
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
 import signal
-import subprocess
 import sys
 import time
 from typing import Any
@@ -17,7 +18,8 @@ from pif_ros.simulate import understood
 from pif_ros.simulation_node import Simulator
 import pytest
 from rclpy.node import Node
-from ros import DEEP, Graph, nanoseconds, SECOND, stamp_into, write_parameters
+from ros import (DEEP, Executable, executable, Graph, nanoseconds, SECOND, stamp_into,
+                 write_parameters)
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Range
 from std_msgs.msg import Float64MultiArray
@@ -68,9 +70,10 @@ class Listener(Node):
 def simulator(graph: Graph, parameters: Mapping[str, Any] = PLANE, **settings: Any) -> Simulator:
     """Return a simulator of some parameters."""
     path = write_parameters(graph._folder / 'parameters.yaml', parameters)
-    return graph.add(Simulator({**FAST, **settings}, context=graph.context,
-                               use_global_arguments=False,
-                               cli_args=['--ros-args', '--params-file', str(path)]))
+    with graph.refusals():
+        return graph.add(Simulator({**FAST, **settings}, context=graph.context,
+                                   use_global_arguments=False,
+                                   cli_args=['--ros-args', '--params-file', str(path)]))
 
 
 def spinner(graph: Graph) -> Callable[[float], None]:
@@ -227,7 +230,6 @@ def test_stops_at_once_when_told_to(graph):
 def test_what_cannot_be_simulated_is_refused_in_one_line(graph, parameters, settings, line):
     with pytest.raises(ConfigError) as refused:
         simulator(graph, {**PLANE, **parameters}, **settings)
-    graph._refused = True
     assert str(refused.value).startswith(line) and '\n' not in str(refused.value)
 
 
@@ -247,7 +249,6 @@ def test_what_changes_with_time_needs_a_time_of_its_own(graph, monkeypatch):
     assert played.measurements['main'][-1, 0] == pytest.approx(3.5, abs=0.001)
     with pytest.raises(ConfigError, match='^use_sim_time: expected true .* got False$'):
         simulator(graph, {**line, 'use_sim_time': False}, speed=1.0)
-    graph._refused = True
 
 
 def test_a_terminal_sees_how_far_it_is(graph, monkeypatch, capsys):
@@ -270,29 +271,28 @@ def test_settings_may_stand_among_the_parameters_and_arguments_count_above_them(
     assert len(player.scenario.truth) == 41
 
 
-def process(*arguments: str) -> subprocess.Popen:
+def process(folder: Path, *arguments: str) -> AbstractContextManager[Executable]:
     """Return the executable, with some arguments."""
-    return subprocess.Popen([sys.executable, '-m', 'pif_ros.simulate', *arguments],
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return executable(folder, '--', *arguments, module='pif_ros.simulate')
 
 
-def test_a_named_system_is_played_to_the_end_with_status_0(graph):
+def test_a_named_system_is_played_to_the_end_with_status_0(graph, tmp_path):
     listener = graph.add(Listener(graph, measurement=JointState))
-    running = process('--system', 'wiener', '--duration', '1', '--seed', '3', '--speed', '50',
-                      '--ros-args', '-p', 'measurements.main.sensor:=position')
-    while running.poll() is None:
-        graph.executor.spin_once(timeout_sec=0.05)
-    assert (running.returncode, running.stderr.read()) == (0, '')
+    with process(tmp_path, '--system', 'wiener', '--duration', '1', '--seed', '3', '--speed', '50',
+                 '--ros-args', '-p', 'measurements.main.sensor:=position') as running:
+        status, *_ = running.end(lambda: graph.executor.spin_once(timeout_sec=0.05))
+    assert (status, running.stderr) == (0, '')
     graph.until(lambda: len(listener.measured) == 11)
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_with_status_0_and_not_a_word(number):
-    running = process('--system', 'wiener')
-    assert 'waiting for the other end' in running.stdout.readline()
-    running.send_signal(number)
-    running.send_signal(number)
-    assert (running.wait(10.0), running.stderr.read()) == (0, '')
+def test_a_signal_ends_it_with_status_0_and_not_a_word(tmp_path, number):
+    with process(tmp_path, '--system', 'wiener') as running:
+        running.until(lambda: 'waiting for the other end' in running.stdout, 'it waits')
+        running.signal(number)
+        running.signal(number)
+        status, *_ = running.end()
+    assert (status, running.stderr) == (0, '')
 
 
 @pytest.mark.parametrize('arguments, line', [
@@ -320,23 +320,24 @@ def test_a_named_system_is_its_parameter_file_before_all_else_and_settings_are_r
     assert understood(['simulate', '--path']) == (['simulate', '--path'], {'path': True})
 
 
-def process_fails(*arguments: str) -> str:
+def process_fails(folder: Path, *arguments: str) -> str:
     """Return the one line with which the executable refuses some arguments."""
-    _, errors = (running := process(*arguments)).communicate(timeout=30.0)
-    assert running.returncode == 2 and errors.count('\n') == 1
-    return errors
+    with process(folder, *arguments) as running:
+        status, *_ = running.end()
+    assert status == 2 and running.stderr.count('\n') == 1
+    return running.stderr
 
 
-def test_what_makes_no_simulation_is_one_line_and_status_2():
-    assert process_fails('--system', 'wiener', '--duration', '-1') == (
+def test_what_makes_no_simulation_is_one_line_and_status_2(tmp_path):
+    assert process_fails(tmp_path, '--system', 'wiener', '--duration', '-1') == (
         'simulate: duration: expected a positive number, got -1.0\n')
-    assert process_fails('--ros-args', '--params-file', '/absent.yaml') == (
+    assert process_fails(tmp_path, '--ros-args', '--params-file', '/absent.yaml') == (
         'simulate: /absent.yaml: expected a readable file, got No such file or directory\n')
 
 
 def test_parameters_for_another_node_only_are_refused(tmp_path):
     path = write_parameters(tmp_path / 'robot.yaml', {'model.name': 'wiener'}, '/filter_node')
-    assert process_fails('--ros-args', '--params-file', str(path)) == (
+    assert process_fails(tmp_path, '--ros-args', '--params-file', str(path)) == (
         'simulate: --params-file: expected parameters for the node /simulate, got some for '
         '/filter_node only\n')
 

@@ -16,6 +16,7 @@ from pif_ros.plaza.recording import load, Recording
 from pif_ros.plaza.results import write
 from pif_ros.plaza.settings import Settings
 from pif_ros.plaza.yard import parameters_for
+from pif_ros.process import take_down
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -86,8 +87,7 @@ def _play(recording: Recording, settings: Settings, node: FilterProcess,
                    recorder.densities())
     finally:
         node.kill()
-        for own in executor.get_nodes():
-            own.destroy_node()
+        take_down(executor)
         rclpy.try_shutdown()
 
 

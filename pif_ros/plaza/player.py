@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 import sys
 
-from pif_ros.process import explain, failed, logs_to_stdout, Signals
+from pif_ros.process import explain, failed, logs_to_stdout, Signals, take_down
 
 _NAME = 'plaza_player'
 
@@ -24,9 +24,9 @@ def main(args: Sequence[str] | None = None) -> int:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # noqa: B902  RCLError has no public name
         return failed(_NAME, explain(error, arguments), 2)
+    executor = SingleThreadedExecutor()
     try:
         player = Player()
-        executor = SingleThreadedExecutor()
         executor.add_node(player)
         player.play(lambda timeout: executor.spin_once(timeout_sec=timeout), stopped)
     except TimeoutError as error:
@@ -34,6 +34,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         return failed(_NAME, str(error), 2)
     finally:
+        take_down(executor)
         rclpy.try_shutdown()
     return 0
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from pif_ros.plaza.player_node import Spin
 from pif_ros.plaza.recording import load, Recording
+from pif_ros.process import take_down
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -45,7 +46,5 @@ def spinner() -> Iterator[Callable[..., Spin]]:
         return lambda timeout: executor.spin_once(timeout_sec=timeout)
 
     yield make
-    for node in executor.get_nodes():
-        node.destroy_node()
-    executor.shutdown()
+    take_down(executor)
     rclpy.try_shutdown()

@@ -1,10 +1,9 @@
 """The player, heard over DDS."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 import signal
-import subprocess
-import sys
 import time
 
 from follower import Follower, until
@@ -15,6 +14,7 @@ from pif_ros.plaza.player_node import Player, Spin
 from pif_ros.plaza.recording import Recording
 from pif_ros.plaza.settings import Settings
 import pytest
+from ros import Executable, executable
 
 FAST = {'speed': 0.0, 'follow': '/filter_node/pose', 'timeout': 5.0}
 
@@ -175,33 +175,34 @@ def test_stops_at_once_when_told_to(
     assert player.sent['ranges'] <= 6
 
 
-def player_process(*arguments: str) -> subprocess.Popen:
-    command = [sys.executable, '-m', 'pif_ros.plaza.player', '--ros-args']
-    command += [word for argument in arguments for word in ('-p', argument)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def process(folder: Path, *parameters: str) -> AbstractContextManager[Executable]:
+    """Return the executable, with some parameters."""
+    return executable(folder, *(word for parameter in parameters for word in ('-p', parameter)),
+                      module='pif_ros.plaza.player')
 
 
 def test_two_processes_lose_nothing(
-        spinner: Spinner, synthetic_file: Path, small: Recording) -> None:
+        spinner: Spinner, tmp_path: Path, synthetic_file: Path, small: Recording) -> None:
     follower = Follower()
     spin = spinner(follower)
-    process = player_process(f'path:={synthetic_file}', 'speed:=0', 'follow:=/filter_node/pose')
-    while process.poll() is None:
-        spin(0.05)
-    assert (process.returncode, process.stderr.read().count('recording')) == (0, 10)
-    until(spin, lambda: len(follower.ranges) == len(small.ranges))
-    assert sorted(stamp for stamp, _, _ in follower.ranges) == sorted(
-        small.range_stamps_ns.tolist())
+    with process(tmp_path, f'path:={synthetic_file}', 'speed:=0',
+                 'follow:=/filter_node/pose', 'duration:=20.0') as player:
+        status, *_ = player.end(lambda: spin(0.05))
+    assert (status, player.stderr.count('recording')) == (0, 10)
+    sent = small.range_stamps_ns[small.seconds(small.arrivals_ns) <= 20.0]
+    until(spin, lambda: len(follower.ranges) == len(sent) > 70)
+    assert sorted(stamp for stamp, _, _ in follower.ranges) == sorted(sent.tolist())
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_status_0_and_not_a_word(
-        synthetic_file: Path, number: signal.Signals) -> None:
-    process = player_process(f'path:={synthetic_file}')
-    assert 'waiting for the other end' in process.stdout.readline()
-    process.send_signal(number)
-    process.send_signal(number)
-    assert (process.wait(10.0), process.stderr.read()) == (0, '')
+        tmp_path: Path, synthetic_file: Path, number: signal.Signals) -> None:
+    with process(tmp_path, f'path:={synthetic_file}') as player:
+        player.until(lambda: 'waiting for the other end' in player.stdout, 'it waits')
+        player.signal(number)
+        player.signal(number)
+        status, *_ = player.end()
+    assert (status, player.stderr) == (0, '')
 
 
 @pytest.mark.parametrize(('argument', 'line'), [
@@ -215,17 +216,19 @@ def test_a_signal_ends_it_with_status_0_and_not_a_word(
     ('duration:=1e300', "plaza_player: parameter 'duration': expected a number from 0 to 1e9, "
      'got 1e+300'),
     ('path:=/absent.mat', 'plaza_player: no such recording: /absent.mat')])
-def test_what_cannot_be_played_is_one_line_and_status_2(argument: str, line: str) -> None:
-    process = player_process(argument)
-    output, errors = process.communicate(timeout=20.0)
-    assert (process.returncode, errors) == (2, line + '\n')
+def test_what_cannot_be_played_is_one_line_and_status_2(
+        tmp_path: Path, argument: str, line: str) -> None:
+    with process(tmp_path, argument) as player:
+        status, *_ = player.end()
+    assert (status, player.stderr) == (2, line + '\n')
 
 
 @pytest.mark.parametrize('argument', [
     'start_type_description_service:=false', 'qos_overrides./clock.publisher.depth:=5'])
 def test_what_rclpy_itself_is_told_is_no_unknown_parameter(
-        synthetic_file: Path, argument: str) -> None:
-    process = player_process(f'path:={synthetic_file}', argument)
-    assert 'waiting for the other end' in process.stdout.readline()
-    process.send_signal(signal.SIGTERM)
-    assert (process.wait(10.0), process.stderr.read()) == (0, '')
+        tmp_path: Path, synthetic_file: Path, argument: str) -> None:
+    with process(tmp_path, f'path:={synthetic_file}', argument) as player:
+        player.until(lambda: 'waiting for the other end' in player.stdout, 'it waits')
+        player.signal(signal.SIGTERM)
+        status, *_ = player.end()
+    assert (status, player.stderr) == (0, '')
