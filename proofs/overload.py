@@ -85,12 +85,12 @@ def _meet(graph: Graph, peer: Any, sender: Any) -> int:
     """Measure until a pose comes back, and return how often: DDS may still make the way."""
     poses: list[Any] = []
     peer.create_subscription(PoseWithCovarianceStamped, '/filter_node/pose', poses.append, DEEP)
-    sent = 0
-    while not poses:
+    for sent in range(1, 100):
         sender.publish(_measurement())
-        sent += 1
         graph.executor.spin_once(timeout_sec=2.0)
-    return sent
+        if poses:
+            return sent
+    raise AssertionError('no pose comes back')
 
 
 def _measurement() -> PointStamped:
