@@ -16,6 +16,7 @@ from typing import Any
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from pif_ros.filter_node import FilterNode
 from rcl_interfaces.msg import Log
+from rcl_interfaces.srv import GetParameters
 import rclpy
 from rclpy.client import Client
 from rclpy.context import Context
@@ -129,6 +130,23 @@ class Graph:
             assert time.monotonic() < deadline, f'{what} did not happen within {PATIENCE} s'
             self.executor.spin_once(timeout_sec=0.02)
         return found
+
+    def introduce(self, peer: Node, name: str) -> None:
+        """
+        Wait until a node of another process knows each subscription that a peer has by now.
+
+        Before that, what it publishes for them is lost.  A process is told of another's readers in
+        the order in which they were made: one that answers knows all that are older than the one
+        for its answer.
+        """
+        client, asked = peer.create_client(GetParameters, f'{name}/get_parameters'), []
+
+        def answered() -> bool:
+            asked.append(client.call_async(GetParameters.Request()))
+            return any(future.done() for future in asked)
+
+        self.until(client.service_is_ready, f'{name} is there')
+        self.until(answered, f'an answer of {name}')
 
     def call(self, client: Client, request: Any) -> Any:
         """Return a service's answer."""

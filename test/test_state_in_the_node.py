@@ -282,7 +282,7 @@ def test_a_killed_process_goes_on_from_its_checkpoint_and_saves_at_its_end(
     file, tracker, seconds = tmp_path / 'state', build_tracker(config), itertools.count()
 
     def measure(second):
-        """Measure until there is a pose of it: the first may be lost while DDS makes its way."""
+        """Measure until there is a pose of it: over and over, since the node may not hear yet."""
         stamp_ns, values = T + second * SECOND, (0.1 * second, 0.2)
 
         def seen():
@@ -293,6 +293,7 @@ def test_a_killed_process_goes_on_from_its_checkpoint_and_saves_at_its_end(
         return graph.until(seen, 'a pose')[-1]
 
     def follow_with(node):
+        graph.introduce(peer, '/filter_node')
         for _ in range(3):
             pose = measure(next(seconds))
         # the other process may have other threads in its sums

@@ -73,7 +73,7 @@ class Steering:
         """Have these instead."""
         self._taken, self._controls = list(controls), None
 
-    def since(self, stamp_ns: int) -> list[tuple[int, Value]]:
+    def since(self, stamp_ns: float) -> list[tuple[int, Value]]:
         """Return those that may hold at a stamp, and later ones."""
         return [control for control in self._taken if control[0] >= stamp_ns - self._hold_ns]
 
@@ -90,7 +90,10 @@ class Steering:
         else:
             # a path goes on from its last point, and not from one that was rejected since
             path_ns = getattr(line.anchor.belief, 'stamp_ns', None)
-            self._drop_before(start_ns if path_ns is None else min(start_ns, path_ns))
+            needed_ns = start_ns if path_ns is None else min(start_ns, path_ns)
+            # and a start may be followed by another that is as old as the history
+            self._drop_before(min(needed_ns, oldest_ns - self._hold_ns)
+                              if line.anchored is None else needed_ns)
 
     def _earliest_ns(self) -> float:
         """Return the stamp before which a control is too late."""

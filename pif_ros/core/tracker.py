@@ -62,15 +62,15 @@ class Tracker(Generic[Belief]):
         """
         Forget what was taken, and start from a belief (the prior where none is given).
 
-        steered_ns: a stamp within the history; the controls that may hold there, and later ones,
-        are kept, and so are the measurements from the belief's stamp on.  Of what held before the
-        history, it is not known any more.
+        steered_ns: a stamp within the history; the controls that may hold in that are kept, and so
+        are the measurements from the belief's stamp on.  Of what held before the history, it is not
+        known any more.
         """
         kept: list[Measurement] = []
         if steered_ns is None or steered_ns < self._steering.oldest_ns:
             self._steering.replace(())
         else:
-            self._steering.replace(self._steering.since(steered_ns))
+            self._steering.replace(self._steering.since(self._steering.oldest_ns))
             kept = [] if stamp_ns is None else self._timeline.since(stamp_ns)
         self._timeline.start(
             Estimate(stamp_ns, self.prior if belief is None else belief), measurements=kept)

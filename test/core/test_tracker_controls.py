@@ -258,3 +258,27 @@ def test_what_drives_on_from_a_new_start_does_not_depend_on_when_the_work_was_do
         tracker.reset(PRIOR, start_ns, start_ns)
     assert_same_bits(at_once.forecast(start_ns + SECOND),
                      later.forecast(start_ns + SECOND).belief)
+
+
+@pytest.mark.parametrize('asked', [False, True])
+@pytest.mark.parametrize('second_ns', [200_000_000, SECOND, 1_300_000_000])
+def test_a_start_before_the_last_one_finds_the_controls_in_between(asked, second_ns):
+    """Oracle: predict and correct, with all controls known beforehand."""
+    tracker = tracker_of(history=2.0)
+    controls = {k * SECOND // 4: (0.4 + 0.1 * k, 0.5 - 0.2 * k) for k in range(8)}
+    for control in controls.items():
+        assert tracker.control(*control) is None
+    fixes = [Measurement(stamp_ns, 'place', (0.5, 0.2)) for stamp_ns in (
+        1_700_000_000, 2 * SECOND)]
+    for start_ns, fix in zip((1_600_000_000, second_ns), fixes):
+        tracker.reset(PRIOR, start_ns, start_ns)
+        assert tracker.observe(fix) is None
+        if asked:
+            tracker.estimate()
+    known = Controls(*zip(*controls.items()), round(HOLD * SECOND))
+    belief, now = PRIOR, second_ns
+    for fix in fixes:
+        belief = FILTER.predict(belief, now, fix.stamp_ns, known)
+        belief, _ = FILTER.correct(belief, fix.values, fix.source, fix.stamp_ns)
+        now = fix.stamp_ns
+    assert_same_bits(tracker.estimate(), belief)
