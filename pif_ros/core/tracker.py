@@ -63,8 +63,8 @@ class Tracker(Generic[Belief]):
         Forget what was taken, and start from a belief (the prior where none is given).
 
         steered_ns: a stamp within the history; the controls that may hold in that are kept, and so
-        are the measurements from the belief's stamp on.  Of what held before the history, it is not
-        known any more.
+        are the measurements from the belief's stamp on.  What held before the history is not known
+        any more.
         """
         kept: list[Measurement] = []
         if steered_ns is None or steered_ns < self._steering.oldest_ns:
